@@ -1,0 +1,69 @@
+"""A log: where it comes from, what moved, and an iterable of time-ordered events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import msgspec
+import numpy as np
+
+from kalmap.records.config import RunConfig
+from kalmap.records.events import Event
+
+
+class Skipped(msgspec.Struct, frozen=True):
+    """One bad record that a tolerant run passed over."""
+
+    file: str
+    record: int | str
+    field: str
+    problem: str
+
+
+class Reference(msgspec.Struct, frozen=True):
+    """What is known from outside, to judge a result by. Never fed to an estimator.
+
+    frame: "map" if it is in the estimate's own frame (start pose of the run), so that errors need no
+        alignment; "other" if a rigid alignment must come first.
+    point: (2,) m, the point of the vehicle (forward, left) that `positions` speak of; usually (0, 0).
+    times: (K,) s; positions: (K, 2) m; headings: (K,) rad, NaN where unknown.
+    landmark_ids: (N,) int64; landmarks: (N, 2) m. Without ids in the log, they are numbered from 0.
+    kind: "truth", "gps", "batch" or "survey", as the reports name it.
+    """
+
+    frame: str = "map"
+    kind: str = "truth"
+    point: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(2))
+    times: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(0))
+    positions: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
+    headings: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(0))
+    landmark_ids: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    landmarks: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
+
+
+class Log(msgspec.Struct, frozen=True):
+    """A log that can be iterated as often as wanted; each pass reads lazily from the start.
+
+    name: short, for titles ("victoria-park", "mrclam-6-robot-3", "course-35").
+    source: the path or world it came from.
+    defaults: the settings that this vehicle and sensor class start from.
+    open: yields the events in order of time. It is handed `skip`, a function that a reader calls with
+        a `Skipped` for each bad record it passes over, or None: then a bad record raises `LogError`.
+    references: what to compare with, the first one first.
+    start: (3,) pose at the first event, in the map frame; start_covariance (3, 3).
+    files: every file that the events depend on, for the manifest's data hash.
+    truth_ids: True if `ids` of the sightings are the truth about association.
+    """
+
+    name: str
+    source: str
+    defaults: RunConfig
+    open: Callable[[Callable[[Skipped], None] | None], Iterator[Event]]
+    references: tuple[Reference, ...] = ()
+    start: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(3))
+    start_covariance: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((3, 3)))
+    files: tuple[str, ...] = ()
+    truth_ids: bool = True
+
+    def __iter__(self) -> Iterator[Event]:
+        return self.open(None)
