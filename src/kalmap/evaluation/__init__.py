@@ -1,0 +1,60 @@
+"""How good a result is: trajectory and map errors, consistency, association, time, paired tests."""
+
+from kalmap.evaluation.association import AssociationScore, score_association
+from kalmap.evaluation.consistency import (
+    NisSummary,
+    chi2_band,
+    mean_nees,
+    nis_summary,
+    pose_error,
+    pose_nees,
+    share_inside,
+)
+from kalmap.evaluation.landmarks import MapScore, pair_by_id, pair_by_nearest, score_by_id, score_by_nearest
+from kalmap.evaluation.metrics import Metrics, Options, evaluate
+from kalmap.evaluation.paired import PairedTest, paired_test
+from kalmap.evaluation.timing import StepTimes, step_times
+from kalmap.evaluation.trajectory import (
+    ErrorSummary,
+    Matched,
+    RelativeError,
+    absolute_trajectory_error,
+    heading_errors,
+    match,
+    position_errors,
+    relative_errors,
+    relative_pose_error,
+)
+
+__all__ = [
+    "AssociationScore",
+    "ErrorSummary",
+    "MapScore",
+    "Matched",
+    "Metrics",
+    "NisSummary",
+    "Options",
+    "PairedTest",
+    "RelativeError",
+    "StepTimes",
+    "absolute_trajectory_error",
+    "chi2_band",
+    "evaluate",
+    "heading_errors",
+    "match",
+    "mean_nees",
+    "nis_summary",
+    "pair_by_id",
+    "pair_by_nearest",
+    "paired_test",
+    "pose_error",
+    "pose_nees",
+    "position_errors",
+    "relative_errors",
+    "relative_pose_error",
+    "score_association",
+    "score_by_id",
+    "score_by_nearest",
+    "share_inside",
+    "step_times",
+]

@@ -1,0 +1,24 @@
+"""Pictures and pages of results: plain records in, matplotlib figures and self-contained HTML out."""
+
+from kalmap.view.comparison import render_comparison, render_study
+from kalmap.view.figures import comparison_figures, run_figures
+from kalmap.view.inputs import Aligned, Errors, RunView, StudyCurve, StudyRow, StudyTable
+from kalmap.view.report import render_report
+from kalmap.view.study_figure import study_figure
+from kalmap.view.style import save_figures
+
+__all__ = [
+    "Aligned",
+    "Errors",
+    "RunView",
+    "StudyCurve",
+    "StudyRow",
+    "StudyTable",
+    "comparison_figures",
+    "render_comparison",
+    "render_report",
+    "render_study",
+    "run_figures",
+    "save_figures",
+    "study_figure",
+]

@@ -1,0 +1,214 @@
+"""One run, judged: a flat table of finite numbers (or None) that a study or a report can save."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from kalmap.evaluation import consistency, trajectory
+from kalmap.evaluation.association import score_association
+from kalmap.evaluation.landmarks import MapScore, Motion, pair_by_id, score_by_id, score_by_nearest
+from kalmap.evaluation.timing import step_times
+from kalmap.geometry.alignment import align
+from kalmap.records import Estimate, Landmarks, Log, Reference, Trace
+
+Metrics = dict[str, float | int | None]
+
+_STAY: Motion = (0.0, np.zeros(2))
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True):
+    """How results are compared with a reference.
+
+    max_gap: s, holes of the reference longer than this are not interpolated. distances: m, of the relative
+    pose error. cutoff: m, within which a feature may be a reference's one where ids do not say so. trim:
+    share of the largest position errors that the trimmed RMS leaves out.
+    """
+
+    max_gap: float = 2.0
+    distances: tuple[float, ...] = (1.0, 5.0, 10.0, 50.0, 100.0)
+    cutoff: float = 2.0
+    trim: float = 0.1
+
+
+def evaluate(
+    trace: Trace,
+    estimate: Estimate,
+    log: Log,
+    *,
+    ids_known: bool = True,
+    runtime_s: float | None = None,
+    association: tuple[np.ndarray, np.ndarray] | None = None,
+    dead_reckoning: tuple[np.ndarray, np.ndarray] | None = None,
+    options: Options | None = None,
+) -> Metrics:
+    """Judge a run. Every value is a finite number, or None where it is not known.
+
+    ids_known: the estimate's landmark ids are the log's (association "known"); else, or if the log's ids
+        are not the truth, features are paired with the reference's by distance.
+    runtime_s: the run's own clock; None takes the sum of the steps.
+    association: true id and assigned landmark of every sighting, see `score_association`.
+    dead_reckoning: times (K,) and poses (K, 3) of the odometry alone, judged like the estimate's.
+
+    Main keys, of the first reference: `position_rmse_m` and `heading_rmse_deg` over the trace's instants;
+    `feature_rmse_m` over the last map. Where the reference is in a frame of its own, these come after the
+    rigid alignment of the trajectory and `aligned` is True. `ate_*` are position errors as they are,
+    `ate_aligned_*` after alignment; `feature_aligned_rmse_m` after the map's own best alignment.
+    `nees_mean` is the mean of the pose's NEES (3 is right) in the estimate's coordinates, known only for a
+    reference of poses in the map frame; `nees_band_*` one frame's 95 % band and `nees_inside` the share in
+    it. `nis_mean` is the mean NIS per degree of freedom (1 is right); `nis_pooled` their sum over the sum
+    of degrees of freedom, whose 95 % band is `nis_band_*`. Further references add the same keys behind
+    their kind ("gps_position_rmse_m"; a second of the same kind "gps2_").
+    """
+    options = options or Options()
+    comparable = ids_known and log.truth_ids
+    metrics = _run_metrics(trace, estimate, runtime_s)
+    metrics |= _nis_metrics(trace)
+    metrics |= _association_metrics(association)
+    seen: dict[str, int] = {}
+    for number, reference in enumerate(log.references or (Reference(),)):
+        seen[reference.kind] = seen.get(reference.kind, 0) + 1
+        again = seen[reference.kind] if seen[reference.kind] > 1 else ""
+        prefix = f"{reference.kind}{again}_" if number else ""
+        judged = _reference_metrics(trace, estimate, reference, comparable, options)
+        if dead_reckoning is not None:
+            judged |= _dead_reckoning_metrics(*dead_reckoning, reference, options)
+        metrics |= {prefix + key: value for key, value in judged.items()}
+    return {key: _finite(value) for key, value in metrics.items()}
+
+
+def _finite(value: float | int | None) -> float | int | None:
+    return value if value is None or math.isfinite(value) else None
+
+
+def _run_metrics(trace: Trace, estimate: Estimate, runtime_s: float | None) -> Metrics:
+    times = step_times(trace.step_seconds)
+    return {
+        "steps": len(trace.step_seconds),
+        "frames": len(trace.times),
+        "sightings": int(np.sum(trace.sightings)),
+        "landmarks": len(estimate.landmarks),
+        "runtime_s": float(np.sum(trace.step_seconds)) if runtime_s is None else float(runtime_s),
+        "step_ms_mean": times.mean_ms if times else None,
+        "step_ms_p50": times.p50_ms if times else None,
+        "step_ms_p99": times.p99_ms if times else None,
+        "step_ms_max": times.max_ms if times else None,
+    }
+
+
+def _nis_metrics(trace: Trace) -> Metrics:
+    nis = consistency.nis_summary(trace.nis, trace.nis_dof)
+    return {
+        "nis_mean": nis.mean if nis else None,
+        "nis_pooled": nis.pooled if nis else None,
+        "nis_band_low": nis.low if nis else None,
+        "nis_band_high": nis.high if nis else None,
+        "nis_inside": nis.inside if nis else None,
+    }
+
+
+def _association_metrics(association: tuple[np.ndarray, np.ndarray] | None) -> Metrics:
+    if association is None:
+        return {"association_accuracy": None}
+    score = score_association(*association)
+    return {f"association_{key}": value for key, value in msgspec.structs.asdict(score).items()}
+
+
+def _reference_metrics(
+    trace: Trace, estimate: Estimate, reference: Reference, comparable: bool, options: Options
+) -> Metrics:
+    """All that one reference says about a run."""
+    matched = trajectory.match(trace.times, trace.poses, reference, options.max_gap)
+    metrics = _pose_metrics(matched, reference, options)
+    relative = {error.distance: error for error in trajectory.relative_pose_error(matched, options.distances)}
+    for distance in options.distances:
+        error = relative.get(distance)
+        metrics[f"rpe_{distance:g}m_m"] = error.translation_rmse if error else None
+        metrics[f"rpe_{distance:g}m_deg"] = math.degrees(error.rotation_rmse) if error else None
+    metrics |= _nees_metrics(trace, estimate.coordinates, matched, reference)
+    return metrics | _map_metrics(estimate.landmarks, matched, reference, comparable, options)
+
+
+def _pose_metrics(matched: trajectory.Matched, reference: Reference, options: Options) -> Metrics:
+    """Position and heading: the main numbers, and ATE before and after alignment."""
+    elsewhere = reference.frame != "map"
+    moved = trajectory.aligned(matched)[0] if elsewhere else matched
+    heading = trajectory.rms(trajectory.heading_errors(moved))
+    metrics: Metrics = {
+        "aligned": elsewhere,
+        "matched_frames": len(matched),
+        "position_rmse_m": trajectory.rms(trajectory.position_errors(moved)),
+        "heading_rmse_deg": None if heading is None else math.degrees(heading),
+    }
+    for name, align_first in (("ate", False), ("ate_aligned", True)):
+        known = align_first or not elsewhere
+        ate = trajectory.absolute_trajectory_error(matched, align_first=align_first, trim=options.trim)
+        for key in ("rmse", "mean", "median", "max", "trimmed_rmse"):
+            metrics[f"{name}_{key}_m"] = getattr(ate, key) if ate and known else None
+    return metrics
+
+
+def _nees_metrics(
+    trace: Trace, coordinates: str, matched: trajectory.Matched, reference: Reference
+) -> Metrics:
+    """NEES needs true poses of the vehicle's own origin, in the frame in which the estimate began."""
+    mean = inside = low = high = None
+    if reference.frame == "map" and not np.any(reference.point):
+        covariances = trace.covariances[matched.rows]
+        nees = consistency.pose_nees(matched.reference, matched.estimated, covariances, coordinates)
+        mean = consistency.mean_nees(nees)
+        if mean is not None:
+            inside, (low, high) = consistency.share_inside(nees, 3), consistency.chi2_band(3)
+    return {"nees_mean": mean, "nees_band_low": low, "nees_band_high": high, "nees_inside": inside}
+
+
+def _map_metrics(
+    landmarks: Landmarks,
+    matched: trajectory.Matched,
+    reference: Reference,
+    comparable: bool,
+    options: Options,
+) -> Metrics:
+    """The last map against the reference's; None throughout if the reference has no features."""
+    score: MapScore | None = None
+    if len(reference.landmarks):
+        motion = _into_frame(landmarks, matched, reference, comparable)
+        ids, positions = np.asarray(landmarks.ids), landmarks.positions
+        if comparable:
+            score = score_by_id(ids, positions, reference.landmark_ids, reference.landmarks, motion)
+        else:
+            # a map drifts with its trajectory: look for its features where the aligned trajectory puts them
+            driven = trajectory.aligned(matched)[1] if len(matched) else motion
+            score = score_by_nearest(positions, reference.landmarks, options.cutoff, motion, driven)
+    return {
+        "feature_rmse_m": score.rmse if score else None,
+        "feature_aligned_rmse_m": score.aligned_rmse if score else None,
+        "landmarks_matched": score.matched if score else None,
+        "landmarks_missed": score.missed if score else None,
+        "landmarks_spurious": score.spurious if score else None,
+        "landmarks_doubled": score.doubled if score else None,
+    }
+
+
+def _into_frame(
+    landmarks: Landmarks, matched: trajectory.Matched, reference: Reference, comparable: bool
+) -> Motion:
+    """The motion from the estimate's frame into the reference's: none if they are the same, else that of
+    the trajectory, or of the named features where the reference (a survey) has no trajectory."""
+    if reference.frame == "map":
+        return _STAY
+    if len(matched) or not comparable:
+        return trajectory.aligned(matched)[1]
+    rows, columns = pair_by_id(landmarks.ids, reference.landmark_ids)
+    return align(landmarks.positions[rows], reference.landmarks[columns])
+
+
+def _dead_reckoning_metrics(
+    times: np.ndarray, poses: np.ndarray, reference: Reference, options: Options
+) -> Metrics:
+    matched = trajectory.match(times, poses, reference, options.max_gap)
+    judged = _pose_metrics(matched, reference, options)
+    keys = ("position_rmse_m", "heading_rmse_deg", "ate_aligned_rmse_m")
+    return {f"dead_reckoning_{key}": judged[key] for key in keys}

@@ -1,0 +1,241 @@
+"""Applying a frame: gains, correction and covariance in one pass, for any regression of the sightings.
+
+Equations (23)-(25) of Chen & Cheng 2012, for all sightings of a frame at once: with G = A P, S = A G' + R,
+L L' = S and W = L^-1 G, the mean moves by W' L^-1 nu and P by -W' W. In invariant coordinates the correction
+goes through the SE(2) exponential and P <- T P T' follows, T = I + a e_theta', a = J (x+ - x-) on positions:
+a change of rank two that joins the same pass.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from kalmap.kernels.layout import (
+    BIAS_COUNT,
+    INNOVATION_NOT_POSITIVE,
+    INVARIANT,
+    NOT_FINITE,
+    OK,
+    SEQUENTIAL,
+)
+from kalmap.kernels.packed import add_outer, copy_row
+from kalmap.kernels.regression import left_jacobian, wrap
+from kalmap.kernels.sensing import regress_landmark, regress_sighting, sighting_block
+
+
+@njit(cache=True, nogil=True)
+def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residuals):
+    """Regress every sighting of a frame on its own (pose, landmark) block, all at the same prior.
+
+    matrices: (M, 2, 5). innovation: (2 M,). residuals: (M, 2, 2), to be added to the noise.
+    """
+    cov, predicted = np.empty((5, 5)), np.empty(2)
+    for m in range(len(z)):
+        index = indices[m]
+        sighting_block(packed, index, cov)
+        status = regress_sighting(
+            setup, mean, mean[index], mean[index + 1], cov, predicted, matrices[m], residuals[m]
+        )
+        if status != OK:
+            return status
+        innovation[2 * m] = z[m, 0] - predicted[0]
+        innovation[2 * m + 1] = wrap(z[m, 1] - predicted[1])
+    return OK
+
+
+@njit(cache=True, nogil=True)
+def _fill_gain_rows(packed, n, indices, matrices, work):
+    """work[2 m + r, :n] = A_m P, row by row; the pose's rows of P are read once for the whole frame."""
+    pose_rows = np.empty((3, n))
+    for i in range(3):
+        copy_row(packed, n, i, pose_rows[i])
+    first, second = np.empty(n), np.empty(n)
+    for m in range(len(indices)):
+        copy_row(packed, n, indices[m], first)
+        copy_row(packed, n, indices[m] + 1, second)
+        for r in range(2):
+            a, b, c = matrices[m, r, 0], matrices[m, r, 1], matrices[m, r, 2]
+            d, e = matrices[m, r, 3], matrices[m, r, 4]
+            row = work[2 * m + r]
+            for i in range(n):
+                row[i] = (
+                    a * pose_rows[0, i] + b * pose_rows[1, i] + c * pose_rows[2, i] + d * first[i] + e * second[i]
+                )
+
+
+@njit(cache=True, nogil=True)
+def _innovation_root(indices, matrices, noises, work, root):
+    """Cholesky root of S = A P A' + noise from the rows A P in `work`. False if S is not positive definite."""
+    k = 2 * len(indices)
+    for i in range(k):
+        for j in range(i + 1):
+            m, r = j // 2, j % 2
+            total = matrices[m, r, 3] * work[i, indices[m]] + matrices[m, r, 4] * work[i, indices[m] + 1]
+            for c in range(3):
+                total += matrices[m, r, c] * work[i, c]
+            if i // 2 == m:
+                total += noises[m, i % 2, r]
+            for p in range(j):
+                total -= root[i, p] * root[j, p]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                root[i, i] = math.sqrt(total)
+            else:
+                root[i, j] = total / root[j, j]
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _whiten(root, k, n, work, innovation, correction):
+    """work <- L^-1 work, innovation <- L^-1 innovation, correction <- work' innovation. Returns the NIS."""
+    nis = 0.0
+    correction[:n] = 0.0
+    for i in range(k):
+        row = work[i]
+        y = innovation[i]
+        for p in range(i):
+            factor = root[i, p]
+            other = work[p]
+            for j in range(n):
+                row[j] -= factor * other[j]
+            y -= factor * innovation[p]
+        scale = 1.0 / root[i, i]
+        y *= scale
+        innovation[i] = y
+        nis += y * y
+        for j in range(n):
+            row[j] *= scale
+            correction[j] += row[j] * y
+    return nis
+
+
+@njit(cache=True, nogil=True)
+def _correct_mean(setup, mean, n, correction, shift):
+    """Apply the correction; in invariant coordinates leave a = J (x+ - x-) of the positions in `shift`."""
+    d = 3 + int(setup[BIAS_COUNT])
+    turn = correction[2]
+    s, v = 1.0, 0.0
+    if setup[INVARIANT] != 0.0:  # exp(xi) x - x = V d: the twist's xi = d - J x d_theta drops out
+        s, v = left_jacobian(turn)
+    for i in range(2, d):
+        mean[i] += correction[i]
+        shift[i] = 0.0
+    for i in range(-2, n - d, 2):
+        p = 0 if i < 0 else d + i
+        dx = s * correction[p] - v * correction[p + 1]
+        dy = v * correction[p] + s * correction[p + 1]
+        mean[p] += dx
+        mean[p + 1] += dy
+        shift[p], shift[p + 1] = -dy, dx
+    mean[2] = wrap(mean[2])
+
+
+@njit(cache=True, nogil=True)
+def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, left, right):
+    """One joint update with M regressed sightings. Returns (status, NIS).
+
+    noises: (M, 2, 2), sensor noise plus Lambda. left, right: work space, each at least (2 M + 6, n).
+    After an error nothing has been changed.
+    """
+    k = 2 * len(indices)
+    _fill_gain_rows(packed, n, indices, matrices, right)
+    root = np.zeros((k, k))
+    if not _innovation_root(indices, matrices, noises, right, root):
+        return INNOVATION_NOT_POSITIVE, 0.0
+    correction, shift = np.empty(n), np.empty(n)
+    nis = _whiten(root, k, n, right, innovation, correction)
+    if not math.isfinite(nis):
+        return NOT_FINITE, nis
+    rank = k
+    if setup[INVARIANT] != 0.0:
+        theta_row = right[k + 1]
+        copy_row(packed, n, 2, theta_row)
+        for p in range(k):
+            factor = right[p, 2]
+            for j in range(n):
+                theta_row[j] -= factor * right[p, j]
+    _correct_mean(setup, mean, n, correction, shift)
+    for p in range(k):
+        for j in range(n):
+            left[p, j] = -right[p, j]
+    if setup[INVARIANT] != 0.0:
+        half = 0.5 * right[k + 1, 2]
+        for j in range(n):
+            right[k, j] = right[k + 1, j] + half * shift[j]
+            left[k, j] = shift[j]
+            left[k + 1, j] = right[k, j]
+            right[k + 1, j] = shift[j]
+        rank = k + 2
+    while rank % 4:
+        left[rank, :n] = 0.0
+        right[rank, :n] = 0.0
+        rank += 1
+    add_outer(packed, n, left, right, rank)
+    return OK, nis
+
+
+@njit(cache=True, nogil=True)
+def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
+    """Regress and apply a frame's matched sightings, jointly or one after the other. Returns (status, NIS)."""
+    count = len(indices)
+    matrices, residuals = np.empty((count, 2, 5)), np.empty((count, 2, 2))
+    innovation = np.empty(2 * count)
+    group = 1 if setup[SEQUENTIAL] != 0.0 else count
+    nis = 0.0
+    for first in range(0, count, group):
+        last = first + group
+        a, v, r = matrices[first:last], innovation[2 * first : 2 * last], residuals[first:last]
+        status = regress_frame(setup, mean, packed, z[first:last], indices[first:last], a, v, r)
+        if status != OK:
+            return status, nis
+        for m in range(group):
+            for i in range(2):
+                for j in range(2):
+                    r[m, i, j] += noises[first + m, i, j]
+        status, part = apply_frame(setup, mean, packed, n, indices[first:last], a, v, r, left, right)
+        if status != OK:
+            return status, nis
+        nis += part
+    return OK, nis
+
+
+@njit(cache=True, nogil=True)
+def append_landmark(mean, packed, n, landmark, matrix, noise, residual):
+    """Append a landmark regressed on (pose, range, bearing): O(n). The buffers must have room. Returns n + 2."""
+    for r in range(2):
+        start = (n + r) * (n + r + 1) // 2
+        for j in range(n):
+            total = 0.0
+            for i in range(3):
+                entry = packed[i * (i + 1) // 2 + j] if j <= i else packed[j * (j + 1) // 2 + i]
+                total += matrix[r, i] * entry
+            packed[start + j] = total
+        for c in range(r + 1):
+            total = residual[r, c]
+            for i in range(3):
+                total += packed[start + i] * matrix[c, i]
+            for i in range(2):
+                for j in range(2):
+                    total += matrix[r, 3 + i] * noise[i, j] * matrix[c, 3 + j]
+            packed[start + n + c] = total
+        mean[n + r] = landmark[r]
+    return n + 2
+
+
+@njit(cache=True, nogil=True)
+def append_frame(setup, mean, packed, n, z, noises):
+    """Found a landmark for every sighting of z. Returns (status, new n)."""
+    landmark, matrix, residual = np.empty(2), np.empty((2, 5)), np.empty((2, 2))
+    cov = np.empty((3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            cov[i, j] = packed[i * (i + 1) // 2 + j]
+            cov[j, i] = cov[i, j]
+    for m in range(len(z)):
+        status = regress_landmark(setup, mean, z[m], cov, noises[m], landmark, matrix, residual)
+        if status != OK:
+            return status, n
+        n = append_landmark(mean, packed, n, landmark, matrix, noises[m], residual)
+    return OK, n

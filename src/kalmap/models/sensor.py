@@ -1,0 +1,93 @@
+"""Sensor models: what a landmark looks like from the vehicle."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol
+
+import msgspec
+import numpy as np
+
+from kalmap.geometry.angles import wrap
+from kalmap.geometry.se2 import rotate
+from kalmap.kernels import layout
+from kalmap.records import SensorConfig
+
+
+class SensorModel(Protocol):
+    """What the filter asks of a sensor for point landmarks."""
+
+    compiled: bool
+
+    def predict(self, pose: np.ndarray, landmark: np.ndarray) -> np.ndarray:
+        """(..., 3) and (..., 2) -> (..., 2) range m and bearing rad."""
+        ...
+
+    def locate(self, pose: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """The inverse: (..., 3) and (..., 2) -> (..., 2) landmark."""
+        ...
+
+    def covariance(self, z: np.ndarray) -> np.ndarray:
+        """(M, 2) -> (M, 2, 2) noise of each sighting."""
+        ...
+
+    def in_view(self, pose: np.ndarray, landmarks: np.ndarray, margin: float) -> np.ndarray:
+        """(N,) bool: which landmarks the sensor should see; a margin in (0, 1) shrinks the view."""
+        ...
+
+
+class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+    """Range and bearing from a sensor mounted at (x m, y m, heading rad) on the vehicle.
+
+    sigma_range m, ratio_range of the range, sigma_bearing rad; max_range m; field_of_view rad, the full angle.
+    """
+
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigma_range: float = 0.1
+    ratio_range: float = 0.0
+    sigma_bearing: float = float(np.deg2rad(1.0))
+    max_range: float = 30.0
+    field_of_view: float = float(np.pi)
+    compiled: ClassVar[bool] = True
+
+    def predict(self, pose: np.ndarray, landmark: np.ndarray) -> np.ndarray:
+        """(..., 3) and (..., 2) -> (..., 2)."""
+        body = rotate(-pose[..., 2], landmark - pose[..., :2]) - np.array(self.mount[:2])
+        bearing = wrap(np.arctan2(body[..., 1], body[..., 0]) - self.mount[2])
+        return np.stack([np.hypot(body[..., 0], body[..., 1]), bearing], axis=-1)
+
+    def locate(self, pose: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """(..., 3) and (..., 2) -> (..., 2)."""
+        angle = z[..., 1] + self.mount[2]
+        body = np.stack([z[..., 0] * np.cos(angle), z[..., 0] * np.sin(angle)], axis=-1) + np.array(self.mount[:2])
+        return pose[..., :2] + rotate(pose[..., 2], body)
+
+    def covariance(self, z: np.ndarray) -> np.ndarray:
+        """(M, 2) -> (M, 2, 2)."""
+        noise = np.zeros((len(z), 2, 2))
+        noise[:, 0, 0] = self.sigma_range**2 + (self.ratio_range * z[:, 0]) ** 2
+        noise[:, 1, 1] = self.sigma_bearing**2
+        return noise
+
+    def in_view(self, pose: np.ndarray, landmarks: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """(N,) bool."""
+        z = self.predict(pose, landmarks)
+        keep = 1.0 - margin
+        return (z[:, 0] < keep * self.max_range) & (np.abs(z[:, 1]) < keep * 0.5 * self.field_of_view)
+
+    def fill(self, setup: np.ndarray) -> None:
+        """Write the sensor's part of the kernels' setup vector."""
+        setup[layout.MOUNT_X], setup[layout.MOUNT_Y], setup[layout.MOUNT_HEADING] = self.mount
+        setup[layout.SIGMA_RANGE], setup[layout.RATIO_RANGE] = self.sigma_range, self.ratio_range
+        setup[layout.SIGMA_BEARING] = self.sigma_bearing
+
+
+def sensor_from_config(config: SensorConfig) -> RangeBearing:
+    """The sensor that a configuration describes."""
+    return RangeBearing(
+        mount=(config.mount_x, config.mount_y, float(np.deg2rad(config.mount_heading_deg))),
+        sigma_range=config.sigma_range,
+        ratio_range=config.sigma_range_ratio,
+        sigma_bearing=float(np.deg2rad(config.sigma_bearing_deg)),
+        max_range=config.max_range,
+        field_of_view=float(np.deg2rad(config.field_of_view_deg)),
+    )

@@ -1,0 +1,62 @@
+"""Worlds by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from kalmap.records import ConfigError
+from kalmap.simulate.courses import (
+    HARD_NOISE,
+    bailey_world,
+    course_world,
+    lawn_world,
+    same_world,
+    wide_world,
+)
+from kalmap.simulate.world import World
+
+Maps = Callable[[str], tuple[np.ndarray, np.ndarray]]
+
+BAILEY_MAP = "example_webmap"
+
+_KINDS = {"course": course_world, "same": same_world, "wide": wide_world, "lawn": lawn_world}
+# far beyond what a covariance of all features fits into
+_MOST_LANDMARKS = 1_000_000
+
+
+def world_names() -> list[str]:
+    """The names that `world_by_name` knows, the default first; `<N>` stands for a number of features."""
+    return ["course-35", "course-70", "bailey-35", "bailey-70", *(f"{kind}-<N>" for kind in _KINDS)]
+
+
+def world_by_name(name: str, maps: Maps | None = None) -> World:
+    """The world of that name.
+
+    `course-35` is the package's own course, `course-<N>` the same with N features; `course-70` also
+    has twice the control noise (the papers' set b). `same-<N>`, `wide-<N>` and `lawn-<N>` grow: see
+    `same_world`, `wide_world`, `lawn_world`. `bailey-35` and `bailey-70` are the standard map of
+    Bailey and Nieto's simulator, the second with 35 features more and twice the control noise.
+
+    maps: given a map's name ("example_webmap") returns its landmarks (N, 2) and way-points (K, 2);
+        needed for the Bailey worlds only, whose map is not part of this package.
+
+    Raises `ConfigError` for an unknown name, or a Bailey world without `maps`.
+    """
+    if name in ("bailey-35", "bailey-70"):
+        if maps is None:
+            raise ConfigError(
+                f"world {name} needs the map {BAILEY_MAP} of Bailey's simulator, which is not here"
+            )
+        landmarks, waypoints = maps(BAILEY_MAP)
+        if name == "bailey-35":
+            return bailey_world(landmarks, waypoints, name=name)
+        return bailey_world(landmarks, waypoints, extra=35, name=name, **HARD_NOISE)
+    if name == "course-70":
+        return course_world(70, **HARD_NOISE)
+    match = re.fullmatch(r"([a-z]+)-([0-9]{1,7})", name)
+    if match is None or match[1] not in _KINDS or int(match[2]) > _MOST_LANDMARKS:
+        raise ConfigError(f"unknown world {name!r}; known are {', '.join(world_names())}")
+    return _KINDS[match[1]](int(match[2]))

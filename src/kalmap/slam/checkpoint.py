@@ -1,0 +1,118 @@
+"""A running filter on disk, exact to the last bit, without pickling."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from kalmap.association import KnownIds, Likelihood
+from kalmap.gaussian.linearisers import BuiltIn
+from kalmap.models.motion import BuiltInMotion
+from kalmap.models.sensor import RangeBearing
+from kalmap.records import ConfigError, LogError
+
+if TYPE_CHECKING:
+    from kalmap.perception import Detector
+    from kalmap.slam.landmark import LandmarkSlam
+
+FORMAT = "kalmap-filter/1"
+
+
+class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Everything that is not an array."""
+
+    format: str = FORMAT
+    motion: BuiltInMotion
+    sensor: RangeBearing
+    lineariser: BuiltIn
+    association: KnownIds | Likelihood
+    scope: str
+    coordinates: str
+    use: str
+    memory: Any
+    ids: list[int]
+    counts: list[int]
+    founded: int
+    time: str
+    moved: bool
+    step_number: int
+    pending: bool
+    robot: int
+
+
+def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
+    """Write atomically. Raises ConfigError if the filter holds a model that kalmap cannot name."""
+    belief, n = slam._belief, slam._belief.n
+    memory = slam._memory
+    try:
+        header = msgspec.json.encode(
+            _State(
+                motion=slam.motion,  # type: ignore[arg-type]
+                sensor=slam.sensor,  # type: ignore[arg-type]
+                lineariser=slam.lineariser,  # type: ignore[arg-type]
+                association=slam.association,  # type: ignore[arg-type]
+                scope=slam.scope,
+                coordinates=slam.coordinates,
+                use=slam.use,
+                memory=list(memory.items()) if isinstance(memory, dict) else memory,
+                ids=slam._ids,
+                counts=slam._counts,
+                founded=slam._founded,
+                time=slam._time.hex(),
+                moved=slam._moved,
+                step_number=slam.step_number,
+                pending=belief.pending,
+                robot=belief.robot,
+            )
+        )
+        msgspec.json.decode(header, type=_State)
+    except (TypeError, msgspec.ValidationError) as problem:
+        raise ConfigError(f"this filter holds a part that is not built in and cannot be saved: {problem}") from problem
+    buffer = io.BytesIO()
+    arrays = {"mean": belief.mean[:n], "packed": belief.packed[: n * (n + 1) // 2], "phi": belief.phi}
+    np.savez(buffer, header=np.frombuffer(header, dtype=np.uint8), **arrays)
+    target = Path(path)
+    partial = target.with_name(target.name + ".partial")
+    partial.write_bytes(buffer.getvalue())
+    os.replace(partial, target)
+
+
+def load_filter(kind: type[LandmarkSlam], path: str | os.PathLike[str], detector: Detector | None) -> LandmarkSlam:
+    """Read what `save_filter` wrote."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            state = msgspec.json.decode(stored["header"].tobytes(), type=_State)
+            mean, packed, phi = stored["mean"], stored["packed"], stored["phi"]
+    except FileNotFoundError:
+        raise LogError("no such file", file=path) from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, msgspec.DecodeError) as problem:
+        raise LogError(f"is no saved filter of kalmap, or is damaged ({problem})", file=path) from problem
+    if state.format != FORMAT:
+        raise LogError(f"has format {state.format!r}, expected {FORMAT!r}", file=path, field="format")
+    n = len(mean)
+    if len(packed) != n * (n + 1) // 2 or n != state.robot + 2 * len(state.ids):
+        raise LogError("its arrays do not fit together", file=path)
+    slam = kind(
+        state.motion,
+        state.sensor,
+        state.lineariser,
+        state.association,
+        scope=state.scope,
+        coordinates=state.coordinates,
+        use=state.use,
+        detector=detector,
+    )
+    belief = slam._belief
+    belief.reserve(n)
+    belief.mean[:n], belief.packed[: len(packed)], belief.n = mean, packed, n
+    belief.phi[:], belief.pending = phi, state.pending
+    slam._memory = dict(state.memory) if isinstance(slam._memory, dict) else state.memory
+    slam._ids, slam._counts, slam._founded = state.ids, state.counts, state.founded
+    slam._time, slam._moved, slam.step_number = float.fromhex(state.time), state.moved, state.step_number
+    return slam

@@ -1,0 +1,303 @@
+"""Landmark SLAM by the Kalman family: one filter, whatever the lineariser, scope and error coordinates."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from kalmap.association import Associator, KnownIds
+from kalmap.gaussian import Belief, CentralDifference, Lineariser, NotPositiveError
+from kalmap.models import MotionModel, RangeBearing, SensorModel, VelocitySteering
+from kalmap.perception import Detector
+from kalmap.records import (
+    NEW,
+    Association,
+    ConfigError,
+    Estimate,
+    EstimationError,
+    Event,
+    EventError,
+    Fix,
+    Landmarks,
+    Odometry,
+    Scan,
+    Sightings,
+)
+from kalmap.slam.checkpoint import load_filter, save_filter
+from kalmap.slam.engines import CompiledEngine, Engine, GeneralEngine
+from kalmap.slam.predicted import PredictedMap
+
+
+class LandmarkSlam:
+    """EKF, UKF, CDKF or CKF SLAM, O(n^2) or O(n^3), in additive or right-invariant error coordinates.
+
+    motion, sensor: models. lineariser: `Jacobian()`, `Unscented()`, `CentralDifference()`, `Cubature()` or any
+    object of that protocol. association: an `Associator`. detector: turns scans into sightings, if scans come.
+    scope: "reduced" hands only what a function reads to the lineariser (Chen & Cheng 2012), "full" the whole
+    state. coordinates: "invariant" or "additive". use: "joint" or "sequential" use of a frame's sightings.
+    start, start_covariance: (3,) pose and its (3, 3), zero for a known start.
+
+    An event that cannot be used raises EventError and leaves the state as it was; a covariance that is no longer
+    positive definite raises EstimationError with the step's number.
+    """
+
+    def __init__(
+        self,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        lineariser: Lineariser | None = None,
+        association: Associator | None = None,
+        *,
+        scope: str = "reduced",
+        coordinates: str = "invariant",
+        use: str = "joint",
+        start: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
+        start_covariance: np.ndarray | None = None,
+        detector: Detector | None = None,
+    ) -> None:
+        self.motion = VelocitySteering() if motion is None else motion
+        self.sensor = RangeBearing() if sensor is None else sensor
+        self.lineariser = CentralDifference() if lineariser is None else lineariser
+        self.association = KnownIds() if association is None else association
+        self.detector = detector
+        self.scope, self.coordinates, self.use = scope, coordinates, use
+        self._engine = self._make_engine()
+        pose, covariance = _checked_start(start, start_covariance)
+        biases = self.motion.biases
+        self._belief = Belief(
+            np.concatenate([pose, np.zeros(len(biases))]),
+            _block_diagonal(covariance, np.array([bias.sigma**2 for bias in biases])),
+        )
+        self._memory: Any = self.association.start()
+        self._ids: list[int] = []
+        self._counts: list[int] = []
+        self._founded = 0
+        self._time = float("-inf")
+        self._moved = False
+        self.step_number = 0
+        self.frame_nis, self.frame_used = float("nan"), 0
+        self.frame_association = Association(np.zeros(0, dtype=np.int64))
+        self.frame_labels = np.zeros(0, dtype=np.int64)
+
+    def _make_engine(self) -> Engine:
+        for name, value, known in (
+            ("scope", self.scope, ("reduced", "full")),
+            ("coordinates", self.coordinates, ("invariant", "additive")),
+            ("use", self.use, ("joint", "sequential")),
+        ):
+            if value not in known:
+                raise ConfigError(f"{name}: {value!r} is none of {', '.join(known)}")
+        full, invariant, sequential = self.scope == "full", self.coordinates == "invariant", self.use == "sequential"
+        if full and not getattr(self.lineariser, "samples", True):
+            raise ConfigError("scope: a Jacobian draws no points, so 'full' would be the same filter: take 'reduced'")
+        built_in = getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)
+        if built_in and not full and hasattr(self.lineariser, "rule"):
+            return CompiledEngine(self.motion, self.sensor, self.lineariser, invariant, sequential)  # type: ignore[arg-type]
+        return GeneralEngine(self.motion, self.sensor, self.lineariser, invariant, sequential, full)
+
+    # --- the filter -------------------------------------------------------------------------------------------
+
+    def step(self, event: Event) -> None:
+        """Take one event: odometry predicts, sightings and scans correct, a fix from outside is not used."""
+        if event.time < self._time:
+            raise EventError(f"comes late: the filter is already at {self._time:.6g} s", time=event.time, field="time")
+        if not np.isfinite(event.time):
+            raise EventError("is not a finite number", time=event.time, field="time")
+        try:
+            if isinstance(event, Odometry):
+                self._predict(event)
+            elif isinstance(event, Sightings):
+                self._observe(event)
+            elif isinstance(event, Scan):
+                self._observe(self._detect(event))
+            elif not isinstance(event, Fix):
+                raise EventError(f"{type(event).__name__} is no event that this filter knows", time=event.time)
+        except NotPositiveError as problem:
+            raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
+        self._time = event.time
+
+    def _predict(self, event: Odometry) -> None:
+        values = event.values
+        if values.ndim != 2 or values.shape != (len(event.durations), self.motion.control_size):
+            raise EventError(
+                f"expected {len(event.durations)} samples of {self.motion.control_size} numbers, got {values.shape}",
+                time=event.time,
+                field="values",
+            )
+        total = float(values.sum()) + float(event.durations.sum())
+        if not (np.isfinite(total) and event.durations.min(initial=0.0) >= 0.0):
+            raise EventError("an odometry sample is not finite or has a negative duration", time=event.time)
+        self._engine.predict(self._belief, event)
+        self.step_number += len(values)
+        self._moved = True
+
+    def _detect(self, scan: Scan) -> Sightings:
+        if self.detector is None:
+            raise EventError("a scan came, but the filter has no detector", time=scan.time)
+        return self.detector(scan)
+
+    def _observe(self, frame: Sightings) -> None:
+        """One frame: associate, update, found new landmarks, retire spurious ones."""
+        z = frame.values
+        if not self._moved:
+            raise EventError("a sighting before any odometry", time=frame.time, field="time")
+        self.frame_nis, self.frame_used = float("nan"), 0
+        bad = _first_bad(z)
+        if bad >= 0:
+            raise EventError(
+                f"sighting {bad + 1} is {z[bad, 0]:g} m, {z[bad, 1]:g} rad: expected finite numbers and a range >= 0",
+                time=frame.time,
+                field="range" if not z[bad, 0] >= 0.0 else "bearing",
+            )
+        noises = self._engine.noises(z) if frame.covariance is None else frame.covariance
+        predicted = PredictedMap(self._engine, self._belief, self.sensor, z, noises)
+        association, self._memory = self.association.associate(self._memory, frame, predicted)
+        self.frame_association = association
+        self._apply(frame, association, z, noises)
+        if not isinstance(self.association, KnownIds):
+            self._label(association.matched)
+        for index in sorted(association.retired, reverse=True):
+            self._remove(index)
+
+    def _apply(self, frame: Sightings, association: Association, z: np.ndarray, noises: np.ndarray) -> None:
+        matched, count = association.matched.tolist(), len(self._ids)
+        robot = self._belief.robot
+        old = [m for m, index in enumerate(matched) if 0 <= index < count]
+        if old:
+            indices = np.array([robot + 2 * matched[m] for m in old], dtype=np.int64)
+            self.frame_nis = self._engine.update(self._belief, *_pick(z, old), indices, *_pick(noises, old))
+            self.frame_used = len(old)
+            for m in old:
+                self._counts[matched[m]] += 1
+        fresh = [m for m, index in enumerate(matched) if index == NEW]
+        if fresh:
+            self._engine.append(self._belief, *_pick(z, fresh), *_pick(noises, fresh))
+            for m in fresh:
+                known = isinstance(self.association, KnownIds) and frame.ids is not None
+                self._ids.append(int(frame.ids[m]) if known else self._founded)  # type: ignore[index]
+                self._counts.append(1)
+                self._founded += 1
+        again = [m for m, index in enumerate(matched) if index >= count]
+        if again:  # seen twice in the frame that founds it
+            indices = np.array([robot + 2 * matched[m] for m in again], dtype=np.int64)
+            self._engine.update(self._belief, *_pick(z, again), indices, *_pick(noises, again))
+            for m in again:
+                self._counts[matched[m]] += 1
+
+    def _label(self, matched: np.ndarray) -> None:
+        """Leave the landmarks' lasting numbers of this frame in `frame_labels`: (M,), SPURIOUS where unused."""
+        labels = matched.copy()
+        fresh = len(self._ids) - int((matched == NEW).sum())
+        for m, index in enumerate(matched.tolist()):
+            if index == NEW:
+                labels[m] = self._ids[fresh]
+                fresh += 1
+            elif index >= 0:
+                labels[m] = self._ids[index]
+        self.frame_labels = labels
+
+    def _remove(self, index: int) -> None:
+        self._belief.remove(self._belief.robot + 2 * index, 2)
+        del self._ids[index], self._counts[index]
+
+    # --- saving -----------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that the filter knows, so that `load` goes on bit for bit. Built-in parts only."""
+        save_filter(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, detector: Detector | None = None) -> LandmarkSlam:
+        """The filter that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
+        return load_filter(cls, path, detector)
+
+    # --- what it says -----------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Time of the last event, s; -inf before the first."""
+        return self._time
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(3,) x m, y m, heading rad; a copy."""
+        return self._belief.mean[:3].copy()
+
+    @property
+    def pose_covariance(self) -> np.ndarray:
+        """(3, 3); a copy."""
+        return self._belief.robot_covariance()[:3, :3]
+
+    @property
+    def landmark_count(self) -> int:
+        """How many landmarks the map holds."""
+        return len(self._ids)
+
+    def estimate(self) -> Estimate:
+        """A snapshot of everything but the joint covariance, which it computes when asked in time."""
+        belief = self._belief
+        belief.flush()
+        robot, n, stamp = belief.robot, belief.n, (self._time, self.step_number)
+        covariance = belief.robot_covariance()
+        landmarks = Landmarks(
+            ids=np.array(self._ids, dtype=np.int64),
+            positions=belief.mean[robot:n].reshape(-1, 2).copy(),
+            covariances=belief.landmark_covariances(),
+            sightings=np.array(self._counts, dtype=np.int64),
+            existence=np.ones(len(self._ids)),
+        )
+
+        def joint() -> tuple[np.ndarray, np.ndarray]:
+            if stamp != (self._time, self.step_number):
+                raise EstimationError("the filter has moved on: ask the joint covariance of a fresh estimate")
+            return belief.mean[:n].copy(), belief.covariance()
+
+        biases = {
+            bias.name: (float(belief.mean[3 + i]), float(np.sqrt(covariance[3 + i, 3 + i])))
+            for i, bias in enumerate(self.motion.biases)
+        }
+        return Estimate(
+            time=self._time,
+            pose=self.pose,
+            covariance=covariance[:3, :3].copy(),
+            landmarks=landmarks,
+            biases=biases,
+            joint=joint,
+            coordinates=self.coordinates,
+        )
+
+
+def _first_bad(z: np.ndarray) -> int:
+    from kalmap.kernels.sensing import first_bad_sighting
+
+    if z.ndim != 2 or z.shape[1] != 2:
+        raise EventError(f"expected (M, 2) sightings, got {z.shape}", field="values")
+    return first_bad_sighting(z)
+
+
+def _pick(rows: np.ndarray, chosen: list[int]) -> tuple[np.ndarray]:
+    """The chosen rows, without a copy when they are all."""
+    return (rows,) if len(chosen) == len(rows) else (rows[chosen],)
+
+
+def _checked_start(start: object, covariance: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    pose = np.array(start, dtype=float)
+    block = np.zeros((3, 3)) if covariance is None else np.array(covariance, dtype=float)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise ConfigError("start: expected a finite pose (x, y, heading)")
+    if block.shape != (3, 3) or not np.isfinite(block).all() or not np.allclose(block, block.T, atol=1e-12):
+        raise ConfigError("start_covariance: expected a finite symmetric 3 x 3 matrix")
+    values = np.linalg.eigvalsh(block)
+    if values[0] < -1e-12 * max(1.0, float(values[-1])):
+        raise ConfigError("start_covariance: is not positive semi-definite")
+    return pose, block
+
+
+def _block_diagonal(first: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    d = len(first)
+    whole = np.zeros((d + len(variances), d + len(variances)))
+    whole[:d, :d] = first
+    whole[range(d, len(whole)), range(d, len(whole))] = variances
+    return whole

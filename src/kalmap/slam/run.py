@@ -1,0 +1,216 @@
+"""The run loop: a log through a filter, with everything kept that a result needs, whatever happens."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from kalmap.gaussian import Jacobian
+from kalmap.models.motion import BuiltInMotion
+from kalmap.records import (
+    Estimate,
+    EventError,
+    KalmapError,
+    Log,
+    LogError,
+    Odometry,
+    Scan,
+    Sightings,
+    Skipped,
+    Trace,
+)
+from kalmap.slam.landmark import LandmarkSlam
+
+KEPT_SKIPS = 1000  # records listed one by one; the rest is counted
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What a run came to, also if it was interrupted or met an error: then up to that point.
+
+    frames: how many frames of sightings came; sightings: how many sightings they held; runtime: s inside the filter.
+    truth_ids, labels: for each sighting the log's identity and the landmark it was given to (SPURIOUS: none);
+    empty where association was given. dead_reckoning: times (K,) and poses (K, 3) of odometry alone.
+    """
+
+    estimate: Estimate
+    trace: Trace
+    frames: int
+    sightings: int
+    runtime: float
+    skipped: list[Skipped]
+    skipped_total: int
+    truth_ids: np.ndarray
+    labels: np.ndarray
+    dead_reckoning: tuple[np.ndarray, np.ndarray]
+    error: KalmapError | None
+    interrupted: bool
+
+
+class Recorder:
+    """Rows of the trace; an event at the time of the row before replaces it."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.rows: list[tuple[np.ndarray, np.ndarray, float, int, int]] = []
+        self.step_seconds: list[np.ndarray] = []
+        self.step_times: list[np.ndarray] = []
+        self.reckoned: list[np.ndarray] = []
+
+    def row(self, slam: LandmarkSlam, nis: float, used: int, reckoned: np.ndarray) -> None:
+        """Keep what the filter says now."""
+        entry = (slam.pose, slam.pose_covariance, nis, used, slam.landmark_count)
+        if self.times and self.times[-1] == slam.time:
+            self.rows[-1], self.reckoned[-1] = entry, reckoned
+        else:
+            self.times.append(slam.time)
+            self.rows.append(entry)
+            self.reckoned.append(reckoned)
+
+    def samples(self, event: Odometry, seconds: float) -> None:
+        """Share a block's time among its samples."""
+        count = len(event.durations)
+        if count:
+            self.step_seconds.append(np.full(count, seconds / count))
+            self.step_times.append(event.time - event.durations.sum() + np.cumsum(event.durations))
+
+    def frame(self, seconds: float) -> None:
+        """A frame's update belongs to the sample before it."""
+        if self.step_seconds:
+            self.step_seconds[-1][-1] += seconds
+
+    def trace(self) -> Trace:
+        """Everything as arrays."""
+        used = np.array([row[3] for row in self.rows], dtype=np.int64)
+        return Trace(
+            times=np.array(self.times),
+            poses=np.array([row[0] for row in self.rows]).reshape(-1, 3),
+            covariances=np.array([row[1] for row in self.rows]).reshape(-1, 3, 3),
+            nis=np.array([row[2] for row in self.rows], dtype=float),
+            nis_dof=2 * used,
+            landmarks=np.array([row[4] for row in self.rows], dtype=np.int64),
+            sightings=used,
+            step_seconds=np.concatenate(self.step_seconds) if self.step_seconds else np.zeros(0),
+            step_times=np.concatenate(self.step_times) if self.step_times else np.zeros(0),
+        )
+
+
+def run(
+    slam: LandmarkSlam,
+    log: Log,
+    *,
+    tolerant: bool = False,
+    progress: Callable[[float], None] | None = None,
+    reckon: bool = True,
+) -> Outcome:
+    """Feed every event of the log to the filter.
+
+    tolerant: pass bad records over, listed and counted; else the first one ends the run and is the outcome's
+    `error`. progress: called with the time reached, about a hundred times a second at most. reckon: integrate
+    the odometry alone beside the filter. Ctrl-C ends the run with what there is.
+    """
+    loop = _Loop(slam, log, tolerant, reckon)
+    error: KalmapError | None = None
+    interrupted = False
+    shown = 0.0
+    try:
+        for event in log.open(loop.skip if tolerant else None):
+            loop.take(event)
+            if progress is not None and (now := time.perf_counter()) - shown > 0.01:
+                shown = now
+                progress(float(event.time))
+    except KeyboardInterrupt:
+        interrupted = True
+    except KalmapError as problem:
+        error = problem
+    return loop.outcome(error, interrupted)
+
+
+class _Loop:
+    """The state of one run."""
+
+    def __init__(self, slam: LandmarkSlam, log: Log, tolerant: bool, reckon: bool) -> None:
+        self.slam, self.log, self.tolerant = slam, log, tolerant
+        self.recorder = Recorder()
+        self.frames = self.sightings = self.skipped_total = 0
+        self.runtime = 0.0
+        self.skipped: list[Skipped] = []
+        self.truth: list[np.ndarray] = []
+        self.labels: list[np.ndarray] = []
+        self.scored = log.truth_ids and type(slam.association).__name__ != "KnownIds"
+        self.reckoner = _reckoner(slam, log) if reckon else None
+
+    def skip(self, record: Skipped) -> None:
+        """Count a bad record; list the first thousand."""
+        self.skipped_total += 1
+        if len(self.skipped) < KEPT_SKIPS:
+            self.skipped.append(record)
+
+    def take(self, event: object) -> None:
+        """One event, timed."""
+        begin = time.perf_counter()
+        try:
+            self.slam.step(event)  # type: ignore[arg-type]
+        except EventError as problem:
+            self._refused(event, problem)
+            return
+        seconds = time.perf_counter() - begin
+        if isinstance(event, Odometry):
+            self.runtime += seconds
+            self.recorder.samples(event, seconds)
+            if self.reckoner is not None:
+                self.reckoner.step(event)
+            self.recorder.row(self.slam, float("nan"), 0, self._reckoned())
+        elif isinstance(event, (Sightings, Scan)):
+            self.runtime += seconds
+            self.recorder.frame(seconds)
+            self.frames += 1
+            self._count(event)
+            self.recorder.row(self.slam, self.slam.frame_nis, self.slam.frame_used, self._reckoned())
+
+    def _count(self, event: Sightings | Scan) -> None:
+        self.sightings += len(self.slam.frame_association.matched)
+        if self.scored and isinstance(event, Sightings) and event.ids is not None:
+            self.truth.append(event.ids)
+            self.labels.append(self.slam.frame_labels)
+
+    def _reckoned(self) -> np.ndarray:
+        return self.slam.pose if self.reckoner is None else self.reckoner.pose
+
+    def _refused(self, event: object, problem: EventError) -> None:
+        """Say where in the file the event came from; skip it or end the run."""
+        record = getattr(event, "record", 0)
+        field = problem.field or type(event).__name__.lower()
+        if self.tolerant:
+            self.skip(Skipped(file=self.log.source, record=record, field=field, problem=str(problem)))
+            return
+        text = problem.problem if problem.time is None else f"t = {problem.time:.6g} s: {problem.problem}"
+        raise LogError(text, file=self.log.source, record=record or None, field=field) from problem
+
+    def outcome(self, error: KalmapError | None, interrupted: bool) -> Outcome:
+        """Everything kept so far."""
+        recorder = self.recorder
+        return Outcome(
+            estimate=self.slam.estimate(),
+            trace=recorder.trace(),
+            frames=self.frames,
+            sightings=self.sightings,
+            runtime=self.runtime,
+            skipped=self.skipped,
+            skipped_total=self.skipped_total,
+            truth_ids=np.concatenate(self.truth) if self.truth else np.zeros(0, dtype=np.int64),
+            labels=np.concatenate(self.labels) if self.labels else np.zeros(0, dtype=np.int64),
+            dead_reckoning=(np.array(recorder.times), np.array(recorder.reckoned).reshape(-1, 3)),
+            error=error,
+            interrupted=interrupted,
+        )
+
+
+def _reckoner(slam: LandmarkSlam, log: Log) -> LandmarkSlam | None:
+    """A filter that only ever predicts: odometry as it is, without biases."""
+    if not isinstance(slam.motion, BuiltInMotion):
+        return None
+    motion = msgspec.structs.replace(slam.motion, biases=())
+    return LandmarkSlam(motion, slam.sensor, Jacobian(), start=log.start)

@@ -1,0 +1,59 @@
+"""All pictures of a run or a comparison by name, with their captions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from kalmap.view.compare_figure import bars_figure, error_curves_figure, maps_figure
+from kalmap.view.consistency_figure import consistency_figure
+from kalmap.view.error_figure import error_figure
+from kalmap.view.inputs import RunView
+from kalmap.view.map_figure import map_figure
+from kalmap.view.reading import numbers
+from kalmap.view.timing_figure import timing_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CAPTIONS = {
+    "map": (
+        "The estimated path and map. Each ellipse should hold its landmark's true place in 95 of 100 cases; "
+        "a dot marks its centre, however small the ellipse."
+    ),
+    "errors": (
+        "Estimate minus reference. The band is three standard deviations as the filter states them: "
+        "the curve should leave it only in 3 of 1000 instants. A wide band may reach beyond the axis."
+    ),
+    "consistency": (
+        "Squared errors, measured in the filter's own standard deviations. Above the band the filter is too "
+        "sure of itself, below it too cautious. NEES needs the truth; NIS compares each frame of sightings "
+        "with what the filter expected and needs no truth."
+    ),
+    "timing": "How long each odometry sample took, the update by a frame of sightings counted in.",
+    "maps": "The maps side by side, at the same scale.",
+    "error-curves": "Distance to the reference position, and size of the heading error, over time.",
+    "metrics": "Metrics by method. A dashed line is the right value; elsewhere, shorter errors are better.",
+    "study": "Root mean square error over all runs, at each instant.",
+}
+
+
+def run_figures(run: RunView) -> dict[str, Figure]:
+    """Map, errors, consistency and timing of a run. What is not known is said in the picture."""
+    return {
+        "map": map_figure(run),
+        "errors": error_figure(run),
+        "consistency": consistency_figure(run),
+        "timing": timing_figure(run),
+    }
+
+
+def comparison_figures(
+    runs: Sequence[RunView], metrics: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Figure]:
+    """Maps, error curves and metric bars of several methods. metrics: method -> its metrics."""
+    return {
+        "maps": maps_figure(runs),
+        "error-curves": error_curves_figure(runs),
+        "metrics": bars_figure({method: numbers(row) for method, row in metrics.items()}),
+    }

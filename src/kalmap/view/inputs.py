@@ -1,0 +1,89 @@
+"""What the pictures and pages are made from. Everything is computed elsewhere and handed in."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from kalmap.records import Estimate, Trace
+
+
+class Aligned(msgspec.Struct, frozen=True):
+    """A reference, already moved into the estimate's frame.
+
+    kind: "truth", "gps", "batch" or "survey". path: (K, 2) m. landmarks: (M, 2) m.
+    """
+
+    kind: str = "truth"
+    path: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
+    landmarks: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
+
+
+class Errors(msgspec.Struct, frozen=True):
+    """Estimate minus reference at E instants, with what the filter said its errors would be.
+
+    times: (E,) s. values: (E, 3) x m, y m, heading rad; sigmas: (E, 3) standard deviations of them.
+    nees: (E,) normalised estimation error squared, of `nees_dof` degrees of freedom. NaN where unknown.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    sigmas: np.ndarray
+    nees: np.ndarray
+    nees_dof: int = 3
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def has_heading(self) -> bool:
+        """Whether any heading of the reference is known."""
+        return bool(np.isfinite(self.values[:, 2]).any())
+
+
+class RunView(msgspec.Struct, frozen=True):
+    """One run as the pictures want it: method (its label), log (its name) and what came out.
+
+    reference, errors: None where nothing is known from outside.
+    """
+
+    method: str
+    log: str
+    estimate: Estimate
+    trace: Trace
+    reference: Aligned | None = None
+    errors: Errors | None = None
+
+    @property
+    def start_time(self) -> float:
+        """The clock's zero in every picture, s."""
+        return float(self.trace.times[0]) if len(self.trace.times) else float(self.estimate.time)
+
+    @property
+    def title(self) -> str:
+        return f"{self.log}: {self.method}"
+
+
+class StudyCurve(msgspec.Struct, frozen=True):
+    """RMS over the runs of a study: times (F,) s, position (F,) m, heading (F,) rad, for one method."""
+
+    method: str
+    times: np.ndarray
+    position: np.ndarray
+    heading: np.ndarray
+
+
+class StudyRow(msgspec.Struct, frozen=True):
+    """One method's numbers, and beside them the paper's where it gives any (None, or None a cell)."""
+
+    method: str
+    ours: tuple[float | None, ...]
+    paper: tuple[float | None, ...] | None = None
+
+
+class StudyTable(msgspec.Struct, frozen=True):
+    """A table of a study: columns name quantity and unit, one for each number of a row."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[StudyRow, ...]
+    note: str = ""
