@@ -44,7 +44,7 @@ class Likelihood(msgspec.Struct, frozen=True, tag=True):
             matched[near] = SPURIOUS
             _assign(squared, squared + log_volume, chi_square_2(self.gate), matched)
         confirmed, retired = self._review(memory, matched, predicted)
-        return Association(matched, confirmed=confirmed, retired=retired), memory
+        return Association(matched, self.confirm > 1, confirmed, retired), memory
 
     def _review(self, memory: Any, matched: np.ndarray, predicted: Predicted) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Count the frame for every landmark on trial; retire those whose time is up."""

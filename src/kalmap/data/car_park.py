@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from kalmap.data import ute
@@ -18,6 +19,9 @@ from kalmap.data.victoria_park import fix_stream, gps_reference, held
 from kalmap.records import Log, LogError
 
 VARIANTS = ("sightings", "scans")
+POLE_RANGE = 16.0
+"""m: the scanner sees farther, but no reflector comes back stronger from beyond this."""
+
 DATA, POLES = "data_set.mat", "beac_juan3.mat"
 
 
@@ -31,10 +35,11 @@ def open_car_park(path: Path, variant: str | None, detector: Detector | None) ->
     if poles_path.is_file():
         poles = matrix(load_mat(poles_path, ("estbeac",)), "estbeac", poles_path, columns=2)
     fixes = _fixes(path)
+    car = ute.defaults(identified=False)
     return Log(
         name="car-park",
         source=str(path.parent),
-        defaults=ute.defaults(identified=False),
+        defaults=msgspec.structs.replace(car, sensor=msgspec.structs.replace(car.sensor, max_range=POLE_RANGE)),
         open=StreamEvents(lambda: _streams(path), detector if variant == "sightings" else None),
         references=(gps_reference(fixes, poles),),
         files=(str(path),),

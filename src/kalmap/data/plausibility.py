@@ -16,6 +16,8 @@ GAP_PERIODS = 5.0
 """A gap is this many median periods long."""
 JUMP = 600.0
 """s: a gap longer than this is a jump of the clock (fixes excepted: GPS may be gone for long)."""
+SLACK = 4.0
+"""Standard deviations of the sensor's noise that a sighting may lie beyond its reach or view."""
 NAMED = 3
 """How many records of a finding are named."""
 
@@ -93,9 +95,11 @@ def _sightings(name: str, stream: SightingStream, good: np.ndarray, sensor: Sens
     seen = good if stream.empty is None else good & ~stream.empty
     ranges, bearings = stream.values.T
     with np.errstate(invalid="ignore"):
-        far = seen & (ranges > sensor.max_range)
+        blur = SLACK * np.hypot(sensor.sigma_range, sensor.sigma_range_ratio * sensor.max_range)
+        far = seen & (ranges > sensor.max_range + blur)
         aside = np.abs((bearings + np.pi) % (2 * np.pi) - np.pi)
-        outside = seen & (aside > np.deg2rad(sensor.field_of_view_deg) / 2 + 1e-9)
+        half = sensor.field_of_view_deg / 2 + SLACK * sensor.sigma_bearing_deg
+        outside = seen & (aside > np.deg2rad(half))
     reach = f"range beyond the sensor's {sensor.max_range:g} m"
     view = f"bearing outside the field of view of {sensor.field_of_view_deg:g} deg"
     findings = [

@@ -207,7 +207,7 @@ def _checks(stream: Stream, known_ids: np.ndarray | None) -> Iterator[Check]:
         wrong: np.ndarray = ~(stream.ranges >= 0)
         yield (
             "range",
-            wrong.any(axis=1),
+            np.logical_or.reduce(wrong, axis=1),
             lambda k: (
                 f"beam {int(np.argmax(wrong[k])) + 1}: expected a range of 0 or more, "
                 f"found {stream.ranges[k, np.argmax(wrong[k])]:.6g}"

@@ -13,8 +13,8 @@ MOTION = MotionConfig(
     model="ackermann",
     wheelbase=2.83,
     encoder_offset=0.76,
-    sigma_speed=0.7,
-    sigma_steering_deg=5.5,
+    sigma_speed=0.3,
+    sigma_steering_deg=2.0,
     sample_time=0.025,
     biases=("steering_offset", "steering_scale", "speed_scale"),
 )
@@ -39,7 +39,7 @@ BEAM_BEARINGS = np.deg2rad(0.5 * np.arange(BEAMS)) - np.pi / 2
 
 def defaults(*, identified: bool) -> RunConfig:
     """What the car's logs start from; association by the log's ids where it has them."""
-    method = AssociationConfig(method="known" if identified else "likelihood")
+    method = AssociationConfig(method="known") if identified else AssociationConfig(method="likelihood", confirm=3)
     return RunConfig(motion=MOTION, sensor=SENSOR, association=method)
 
 

@@ -28,6 +28,8 @@ SIGMA_RANGE = 25
 RATIO_RANGE = 26
 SIGMA_BEARING = 27
 SEQUENTIAL = 28
+OUTLIER_GATE = 29  # distance squared beyond which a sighting's noise is inflated; 0: never
+EXACT_STANDSTILL = 30  # a sample that reads no motion at all adds no noise
 SETUP_LENGTH = 32
 
 MAX_BIASES = 5

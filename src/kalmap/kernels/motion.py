@@ -20,6 +20,7 @@ from kalmap.kernels.layout import (
     BIAS_TURN_RATE_OFFSET,
     BIAS_TURN_RATE_SCALE,
     ENCODER_OFFSET,
+    EXACT_STANDSTILL,
     INVARIANT,
     JACOBIAN,
     MOTION,
@@ -163,6 +164,8 @@ def bias_jacobian(setup, control, c, out):
 def control_covariance(setup, control, dt, out):
     """The noise of one sample (first, second, turn), from the sensor class's sigmas."""
     out[:, :] = 0.0
+    if setup[EXACT_STANDSTILL] != 0.0 and control[0] == 0.0 and control[1] == 0.0 and control[2] == 0.0:
+        return
     if int(setup[MOTION]) == MOTION_INCREMENTS:
         distance2 = control[0] ** 2 + control[1] ** 2
         out[0, 0] = setup[RATIO_DISTANCE] ** 2 * distance2

@@ -17,10 +17,11 @@ from kalmap.kernels.layout import (
     INVARIANT,
     NOT_FINITE,
     OK,
+    OUTLIER_GATE,
     SEQUENTIAL,
 )
 from kalmap.kernels.packed import add_outer, copy_row
-from kalmap.kernels.regression import left_jacobian, wrap
+from kalmap.kernels.regression import congruence, left_jacobian, wrap
 from kalmap.kernels.sensing import regress_landmark, regress_sighting, sighting_block
 
 
@@ -177,6 +178,34 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
 
 
 @njit(cache=True, nogil=True)
+def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
+    """Inflate the noise of sightings that contradict the map until their innovation lies on the gate.
+
+    gate: Mahalanobis distance squared. noises: (M, 2, 2), sensor noise plus Lambda, changed in place by
+    (d^2 / gate - 1) S: a redescending weight, so that a gross error moves the state less the grosser it is, while
+    a true contradiction (a loop closed late) still pulls, frame after frame.
+    """
+    cov, spread = np.empty((5, 5)), np.empty((2, 2))
+    for m in range(len(indices)):
+        sighting_block(packed, indices[m], cov)
+        congruence(matrices[m], cov, 2, 5, spread)
+        s00 = spread[0, 0] + noises[m, 0, 0]
+        s01 = spread[0, 1] + noises[m, 0, 1]
+        s11 = spread[1, 1] + noises[m, 1, 1]
+        determinant = s00 * s11 - s01 * s01
+        if not determinant > 0.0:
+            continue  # the joint update says so, with its name
+        nu0, nu1 = innovation[2 * m], innovation[2 * m + 1]
+        squared = (s11 * nu0 * nu0 - 2.0 * s01 * nu0 * nu1 + s00 * nu1 * nu1) / determinant
+        if squared > gate:
+            factor = squared / gate - 1.0
+            noises[m, 0, 0] += factor * s00
+            noises[m, 0, 1] += factor * s01
+            noises[m, 1, 0] += factor * s01
+            noises[m, 1, 1] += factor * s11
+
+
+@njit(cache=True, nogil=True)
 def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
     """Regress and apply a frame's matched sightings, jointly or one after the other. Returns (status, NIS)."""
     count = len(indices)
@@ -194,6 +223,8 @@ def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
             for i in range(2):
                 for j in range(2):
                     r[m, i, j] += noises[first + m, i, j]
+        if setup[OUTLIER_GATE] > 0.0:
+            inflate_outliers(setup[OUTLIER_GATE], packed, indices[first:last], a, v, r)
         status, part = apply_frame(setup, mean, packed, n, indices[first:last], a, v, r, left, right)
         if status != OK:
             return status, nis

@@ -6,7 +6,7 @@ pose' = pose composed with increment(corrected control, dt). The models here are
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import msgspec
 import numpy as np
@@ -50,13 +50,15 @@ class MotionModel(Protocol):
 class _Biased(msgspec.Struct, frozen=True, kw_only=True):
     """What the built-in models share: biases, and control noise that may be white in time.
 
-    sigma_speed m/s, ratio_speed; sigma_turn rad or rad/s, ratio_turn. sample_time s: see `MotionConfig`.
+    sigma_speed m/s, ratio_speed; the turn's sigma rad or rad/s and its ratio stand in the model itself.
+    sample_time s, exact_standstill: see `MotionConfig`.
     """
 
     biases: tuple[Bias, ...] = ()
     sigma_speed: float = 0.3
     ratio_speed: float = 0.0
     sample_time: float = 0.0
+    exact_standstill: bool = False
     compiled: ClassVar[bool] = True
     control_size: ClassVar[int] = 2
     bias_names: ClassVar[tuple[str, ...]] = ()
@@ -90,6 +92,8 @@ class _Biased(msgspec.Struct, frozen=True, kw_only=True):
 
     def control_covariance(self, control: np.ndarray, dt: float) -> np.ndarray:
         """(c, c), from the sigmas."""
+        if self.exact_standstill and not control.any():
+            return np.zeros((2, 2))
         sigma, ratio = self._turn_noise()
         scale = self.sample_time / dt if self.sample_time > 0.0 and dt > 0.0 else 1.0
         speed = self.sigma_speed**2 + (self.ratio_speed * control[0]) ** 2
@@ -100,6 +104,7 @@ class _Biased(msgspec.Struct, frozen=True, kw_only=True):
         setup[layout.SIGMA_SPEED], setup[layout.RATIO_SPEED] = self.sigma_speed, self.ratio_speed
         setup[layout.SIGMA_TURN], setup[layout.RATIO_TURN] = self._turn_noise()
         setup[layout.SAMPLE_TIME] = self.sample_time
+        setup[layout.EXACT_STANDSTILL] = self.exact_standstill
         setup[layout.BIAS_COUNT] = len(self.biases)
         for i, bias in enumerate(self.biases):
             setup[layout.BIAS_CODE + i] = BIAS_CODES[bias.name]
@@ -203,6 +208,8 @@ class Increments(_Biased, frozen=True, kw_only=True, tag=True):
 
     def control_covariance(self, control: np.ndarray, dt: float) -> np.ndarray:
         """(3, 3), from the ratios."""
+        if self.exact_standstill and not control.any():
+            return np.zeros((3, 3))
         along = self.ratio_distance**2 * (control[0] ** 2 + control[1] ** 2)
         return np.diag([along, along, self.sigma_rotation**2 + (self.ratio_rotation * control[2]) ** 2])
 
@@ -234,10 +241,11 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
         "turn_rate_scale": config.prior_turn_rate_scale,
     }
     biases = tuple(Bias(name, sigmas[name]) for name in config.biases)
-    speed = {
+    speed: dict[str, Any] = {
         "sigma_speed": config.sigma_speed,
         "ratio_speed": config.sigma_speed_ratio,
         "sample_time": config.sample_time,
+        "exact_standstill": config.exact_standstill,
     }
     steering = float(np.deg2rad(config.sigma_steering_deg))
     if config.model == "velocity-steering":
@@ -259,6 +267,7 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
         )
     return Increments(
         biases=biases,
+        exact_standstill=config.exact_standstill,
         ratio_distance=config.sigma_distance_ratio,
         sigma_rotation=float(np.deg2rad(config.sigma_rotation_deg)),
         ratio_rotation=config.sigma_rotation_ratio,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar, Protocol
 
 import msgspec
@@ -39,6 +40,7 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     """Range and bearing from a sensor mounted at (x m, y m, heading rad) on the vehicle.
 
     sigma_range m, ratio_range of the range, sigma_bearing rad; max_range m; field_of_view rad, the full angle.
+    outlier_gate: probability beyond which a sighting's noise is inflated (see `SensorConfig`), None: never.
     """
 
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -47,6 +49,7 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     sigma_bearing: float = float(np.deg2rad(1.0))
     max_range: float = 30.0
     field_of_view: float = float(np.pi)
+    outlier_gate: float | None = None
     compiled: ClassVar[bool] = True
 
     def predict(self, pose: np.ndarray, landmark: np.ndarray) -> np.ndarray:
@@ -79,6 +82,13 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
         setup[layout.MOUNT_X], setup[layout.MOUNT_Y], setup[layout.MOUNT_HEADING] = self.mount
         setup[layout.SIGMA_RANGE], setup[layout.RATIO_RANGE] = self.sigma_range, self.ratio_range
         setup[layout.SIGMA_BEARING] = self.sigma_bearing
+        setup[layout.OUTLIER_GATE] = outlier_distance(self)
+
+
+def outlier_distance(sensor: object) -> float:
+    """The Mahalanobis distance squared of a sensor's outlier gate (two degrees of freedom); 0 if it has none."""
+    probability = getattr(sensor, "outlier_gate", None)
+    return 0.0 if probability is None else -2.0 * math.log1p(-probability)
 
 
 def sensor_from_config(config: SensorConfig) -> RangeBearing:
@@ -90,4 +100,5 @@ def sensor_from_config(config: SensorConfig) -> RangeBearing:
         sigma_bearing=float(np.deg2rad(config.sigma_bearing_deg)),
         max_range=config.max_range,
         field_of_view=float(np.deg2rad(config.field_of_view_deg)),
+        outlier_gate=config.outlier_gate,
     )

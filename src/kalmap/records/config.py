@@ -35,6 +35,7 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         covariance: share of the distance; deg a step; share of the turn.
     sample_time: s. The sigmas hold for samples of this length and a sample of length dt gets the
         variance times sample_time / dt (white noise in time). 0: they hold for every sample as it is.
+    exact_standstill: a sample that reads exactly no motion is believed and adds no noise.
     biases: which constant errors are estimated as states, with these prior standard deviations.
     """
 
@@ -50,6 +51,7 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_rotation_deg: NonNegative = 0.5
     sigma_rotation_ratio: NonNegative = 0.1
     sample_time: NonNegative = 0.0
+    exact_standstill: bool = False
     biases: tuple[BiasName, ...] = ()
     prior_steering_offset_deg: Positive = 1.0
     prior_steering_scale: Positive = 0.05
@@ -64,6 +66,8 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     mount_x, mount_y: m, mount_heading_deg: the sensor in the vehicle's frame (forward, left).
     sigma_range: m; sigma_range_ratio: share of the range; the variances add. sigma_bearing_deg: deg.
     max_range: m. field_of_view_deg: the full angle, centred ahead of the sensor.
+    outlier_gate: probability; a sighting whose innovation lies outside it has its noise inflated until it lies on
+        it, so that a gross error does little. None: every sighting is taken at its word.
     """
 
     mount_x: float = 0.0
@@ -74,6 +78,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_bearing_deg: Positive = 1.0
     max_range: Positive = 30.0
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, le=360)] = 180.0
+    outlier_gate: Probability | None = None
 
 
 class FilterConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

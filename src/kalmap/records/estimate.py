@@ -72,11 +72,13 @@ class Association(msgspec.Struct, frozen=True, gc=False):
     """What an associator decided about one frame.
 
     matched: (M,) int64: the landmark's index in the map, `NEW` (found one) or `SPURIOUS` (leave unused).
+    on_trial: the landmarks that this frame founds stay out of the reported map until they are confirmed.
     confirmed, retired: indices of landmarks that the associator now believes in, or wants removed.
     why: a line for each sighting when asked for, for the audit trail.
     """
 
     matched: np.ndarray
+    on_trial: bool = False
     confirmed: tuple[int, ...] = ()
     retired: tuple[int, ...] = ()
     why: tuple[str, ...] = ()

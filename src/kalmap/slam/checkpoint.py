@@ -38,6 +38,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     memory: Any
     ids: list[int]
     counts: list[int]
+    on_trial: list[int]
     founded: int
     time: str
     moved: bool
@@ -63,6 +64,7 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
                 memory=list(memory.items()) if isinstance(memory, dict) else memory,
                 ids=slam._ids,
                 counts=slam._counts,
+                on_trial=sorted(slam._on_trial),
                 founded=slam._founded,
                 time=slam._time.hex(),
                 moved=slam._moved,
@@ -114,5 +116,6 @@ def load_filter(kind: type[LandmarkSlam], path: str | os.PathLike[str], detector
     belief.phi[:], belief.pending = phi, state.pending
     slam._memory = dict(state.memory) if isinstance(slam._memory, dict) else state.memory
     slam._ids, slam._counts, slam._founded = state.ids, state.counts, state.founded
+    slam._on_trial = set(state.on_trial)
     slam._time, slam._moved, slam.step_number = float.fromhex(state.time), state.moved, state.step_number
     return slam

@@ -17,7 +17,7 @@ from kalmap.geometry.angles import wrap
 from kalmap.kernels import layout, motion, sensing, update
 from kalmap.models.charts import NewLandmark, NextPose, SeenLandmark, twist_matrix
 from kalmap.models.motion import BuiltInMotion, MotionModel
-from kalmap.models.sensor import RangeBearing, SensorModel
+from kalmap.models.sensor import RangeBearing, SensorModel, outlier_distance
 from kalmap.records import Odometry
 
 _NO_COVARIANCE = {c: np.zeros((0, c, c)) for c in (2, 3)}
@@ -137,6 +137,7 @@ class GeneralEngine:
         self._setup = np.zeros(layout.SETUP_LENGTH)  # the part that applying a regressed frame reads
         self._setup[layout.INVARIANT] = invariant
         self._setup[layout.BIAS_COUNT] = len(motion_model.biases)
+        self._gate = outlier_distance(sensor)
 
     def noises(self, z: np.ndarray) -> np.ndarray:
         return self.sensor.covariance(z)
@@ -211,6 +212,10 @@ class GeneralEngine:
             innovation[:, 1] = wrap(innovation[:, 1])
             matrices = np.array([regression.matrix for _, regression in seen])
             total = noises[part] + np.array([regression.residual for _, regression in seen])
+            if self._gate > 0.0:
+                update.inflate_outliers(
+                    self._gate, belief.packed, indices[part], matrices, innovation.ravel(), total
+                )
             status, value = update.apply_frame(
                 self._setup, belief.mean, belief.packed, belief.n, indices[part], matrices,
                 innovation.ravel(), total, left, right,

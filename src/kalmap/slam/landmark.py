@@ -73,6 +73,7 @@ class LandmarkSlam:
         self._memory: Any = self.association.start()
         self._ids: list[int] = []
         self._counts: list[int] = []
+        self._on_trial: set[int] = set()  # lasting numbers of landmarks that are not confirmed yet
         self._founded = 0
         self._time = float("-inf")
         self._moved = False
@@ -158,6 +159,8 @@ class LandmarkSlam:
         self._apply(frame, association, z, noises)
         if not isinstance(self.association, KnownIds):
             self._label(association.matched)
+        for index in association.confirmed:
+            self._on_trial.discard(self._ids[index])
         for index in sorted(association.retired, reverse=True):
             self._remove(index)
 
@@ -178,6 +181,8 @@ class LandmarkSlam:
                 known = isinstance(self.association, KnownIds) and frame.ids is not None
                 self._ids.append(int(frame.ids[m]) if known else self._founded)  # type: ignore[index]
                 self._counts.append(1)
+                if association.on_trial:
+                    self._on_trial.add(self._ids[-1])
                 self._founded += 1
         again = [m for m, index in enumerate(matched) if index >= count]
         if again:  # seen twice in the frame that founds it
@@ -200,6 +205,7 @@ class LandmarkSlam:
 
     def _remove(self, index: int) -> None:
         self._belief.remove(self._belief.robot + 2 * index, 2)
+        self._on_trial.discard(self._ids[index])
         del self._ids[index], self._counts[index]
 
     # --- saving -----------------------------------------------------------------------------------------------
@@ -232,27 +238,32 @@ class LandmarkSlam:
 
     @property
     def landmark_count(self) -> int:
-        """How many landmarks the map holds."""
-        return len(self._ids)
+        """How many confirmed landmarks the map holds."""
+        return len(self._ids) - len(self._on_trial)
 
     def estimate(self) -> Estimate:
-        """A snapshot of everything but the joint covariance, which it computes when asked in time."""
+        """A snapshot of everything but the joint covariance, which it computes when asked in time.
+
+        Landmarks on trial are left out: marginalised, which changes nothing else.
+        """
         belief = self._belief
         belief.flush()
         robot, n, stamp = belief.robot, belief.n, (self._time, self.step_number)
         covariance = belief.robot_covariance()
+        kept = np.array([i for i, number in enumerate(self._ids) if number not in self._on_trial], dtype=np.int64)
         landmarks = Landmarks(
-            ids=np.array(self._ids, dtype=np.int64),
-            positions=belief.mean[robot:n].reshape(-1, 2).copy(),
-            covariances=belief.landmark_covariances(),
-            sightings=np.array(self._counts, dtype=np.int64),
-            existence=np.ones(len(self._ids)),
+            ids=np.array(self._ids, dtype=np.int64)[kept],
+            positions=belief.mean[robot:n].reshape(-1, 2)[kept],
+            covariances=belief.landmark_covariances()[kept],
+            sightings=np.array(self._counts, dtype=np.int64)[kept],
+            existence=np.ones(len(kept)),
         )
+        entries = np.concatenate([np.arange(robot), (robot + 2 * kept[:, None] + np.arange(2)).ravel()])
 
         def joint() -> tuple[np.ndarray, np.ndarray]:
             if stamp != (self._time, self.step_number):
                 raise EstimationError("the filter has moved on: ask the joint covariance of a fresh estimate")
-            return belief.mean[:n].copy(), belief.covariance()
+            return belief.mean[entries], belief.covariance()[np.ix_(entries, entries)]
 
         biases = {
             bias.name: (float(belief.mean[3 + i]), float(np.sqrt(covariance[3 + i, 3 + i])))

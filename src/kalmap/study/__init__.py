@@ -1,0 +1,40 @@
+"""Monte Carlo studies: methods x worlds x seeds, comparisons on one log, and the papers' tables again."""
+
+from kalmap.study.cases import Case, Method, RunRecord
+from kalmap.study.claims import Claim
+from kalmap.study.compare import (
+    Compared,
+    PairedRow,
+    compare_methods,
+    compare_seeds,
+    paired_rows,
+    parse_method,
+    parse_methods,
+)
+from kalmap.study.crcdkf import Reproduction, reproduce_crcdkf
+from kalmap.study.crcdkf_cases import bailey_maps
+from kalmap.study.montecarlo import run_cases, run_study
+from kalmap.study.result import StudyResult, Summary, runs_csv, summary_csv
+
+__all__ = [
+    "Case",
+    "Claim",
+    "Compared",
+    "Method",
+    "PairedRow",
+    "Reproduction",
+    "RunRecord",
+    "StudyResult",
+    "Summary",
+    "bailey_maps",
+    "compare_methods",
+    "compare_seeds",
+    "paired_rows",
+    "parse_method",
+    "parse_methods",
+    "reproduce_crcdkf",
+    "run_cases",
+    "run_study",
+    "runs_csv",
+    "summary_csv",
+]

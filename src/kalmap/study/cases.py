@@ -1,0 +1,129 @@
+"""One run of a study: a method in a world with a seed, and what is kept of it."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from kalmap.evaluation import evaluate, heading_errors, match, position_errors
+from kalmap.records import AssociationConfig, FilterConfig, Log, RunConfig
+from kalmap.simulate import World, simulate
+from kalmap.slam import Outcome, run, slam_from_config
+
+# what is kept of `evaluate`'s metrics, in the order of the tables
+METRICS = (
+    "position_rmse_m",
+    "heading_rmse_deg",
+    "feature_rmse_m",
+    "nees_mean",
+    "nees_inside",
+    "nis_mean",
+    "nis_pooled",
+    "association_accuracy",
+    "landmarks",
+    "frames",
+    "steps",
+    "runtime_s",
+    "step_ms_mean",
+    "step_ms_p99",
+)
+CURVE_POINTS = 200
+
+
+class Method(msgspec.Struct, frozen=True):
+    """A filter under the name that tables and figures give it."""
+
+    name: str
+    filter: FilterConfig
+
+
+class Case(msgspec.Struct, frozen=True, eq=False):
+    """A method in a world with a seed: everything that its result depends on, beside the program itself.
+
+    keep_joint: keep the last joint mean and covariance too, to set two filters side by side.
+    """
+
+    world: World
+    method: Method
+    seed: int
+    association: AssociationConfig = AssociationConfig()
+    keep_joint: bool = False
+
+    def config(self) -> RunConfig:
+        """The world's own noise and sensor, with this filter."""
+        return msgspec.structs.replace(
+            self.world.defaults(), filter=self.method.filter, association=self.association, seed=self.seed
+        )
+
+
+class Joint(msgspec.Struct, frozen=True):
+    """The last state of a run: mean (n,) and covariance (n, n) of pose and landmarks."""
+
+    mean: list[float]
+    covariance: list[list[float]]
+
+
+class RunRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a study keeps of a run.
+
+    metrics: the `METRICS` of `kalmap.evaluation.evaluate`; position and heading RMS are over the run's frames
+        (every 200 ms in Bailey's world), as in the papers' tables. Empty where the filter gave up.
+    times: s, about 200 instants, the same for all runs in a world. position_squared m^2, heading_squared
+        rad^2: squared errors at these instants.
+    error: why the filter gave up, else None. joint: the last state, where the case asked for it.
+    """
+
+    world: str
+    method: str
+    seed: int
+    metrics: dict[str, float | None]
+    times: list[float]
+    position_squared: list[float]
+    heading_squared: list[float]
+    error: str | None = None
+    joint: Joint | None = None
+
+
+def run_case(case: Case) -> RunRecord:
+    """Simulate, run and judge. The log depends on world and seed only, so methods are paired by seed.
+
+    A filter that gives up makes a record with `error`. Raises `ConfigError` for a filter that does not exist
+    and `KeyboardInterrupt` if the run was interrupted.
+    """
+    log = simulate(case.world, case.seed)
+    config = case.config()
+    outcome = run(slam_from_config(config, log), log, reckon=False)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    names = (case.world.name, case.method.name, case.seed)
+    if outcome.error is not None:
+        return RunRecord(*names, {}, [], [], [], str(outcome.error))
+    metrics = judge(outcome, log, config)
+    joint = None
+    if case.keep_joint:
+        mean, covariance = outcome.estimate.joint()
+        joint = Joint(mean.tolist(), covariance.tolist())
+    kept = {key: metrics.get(key) for key in METRICS}
+    return RunRecord(*names, kept, *_curves(outcome, log), joint=joint)
+
+
+def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | int | None]:
+    """All metrics of a run (see `kalmap.evaluation.evaluate`)."""
+    known = config.association.method == "known"
+    return evaluate(
+        outcome.trace,
+        outcome.estimate,
+        log,
+        ids_known=known,
+        runtime_s=outcome.runtime,
+        association=None if known or not len(outcome.truth_ids) else (outcome.truth_ids, outcome.labels),
+    )
+
+
+def _curves(outcome: Outcome, log: Log) -> tuple[list[float], list[float], list[float]]:
+    trace = outcome.trace
+    kept = np.linspace(0, len(trace.times) - 1, min(len(trace.times), CURVE_POINTS)).round().astype(int)
+    times, poses = trace.times[kept], trace.poses[kept]
+    matched = match(times, poses, log.references[0])
+    position, heading = position_errors(matched) ** 2, heading_errors(matched) ** 2
+    return times[matched.rows].tolist(), position.tolist(), heading.tolist()
