@@ -32,7 +32,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
     frames: how many frames of sightings came; sightings: how many sightings they held; runtime: s inside the filter.
     truth_ids, labels: for each sighting the log's identity and the landmark it was given to (SPURIOUS: none);
-    empty where association was given. dead_reckoning: times (K,) and poses (K, 3) of odometry alone.
+    empty where association was given. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for.
     """
 
     estimate: Estimate
@@ -44,7 +44,7 @@ class Outcome(msgspec.Struct, frozen=True):
     skipped_total: int
     truth_ids: np.ndarray
     labels: np.ndarray
-    dead_reckoning: tuple[np.ndarray, np.ndarray]
+    dead_reckoning: tuple[np.ndarray, np.ndarray] | None
     error: KalmapError | None
     interrupted: bool
 
@@ -111,6 +111,7 @@ def run(
     `error`. progress: called with the time reached, about a hundred times a second at most. reckon: integrate
     the odometry alone beside the filter. Ctrl-C ends the run with what there is.
     """
+    warm_up(slam)
     loop = _Loop(slam, log, tolerant, reckon)
     error: KalmapError | None = None
     interrupted = False
@@ -126,6 +127,22 @@ def run(
     except KalmapError as problem:
         error = problem
     return loop.outcome(error, interrupted)
+
+
+def warm_up(slam: LandmarkSlam) -> None:
+    """Load the compiled kernels through a throw-away filter like this one, so that no step pays for it."""
+    twin = LandmarkSlam(
+        slam.motion,
+        slam.sensor,
+        slam.lineariser,
+        scope=slam.scope,
+        coordinates=slam.coordinates,
+        use=slam.use,
+    )
+    motion = np.full((2, slam.motion.control_size), 1e-3)
+    for number in range(2):
+        twin.step(Odometry(float(number), motion, np.full(2, 0.01)))
+        twin.step(Sightings(float(number), np.array([[5.0, 0.1]]), ids=np.zeros(1, dtype=np.int64)))
 
 
 class _Loop:
@@ -192,6 +209,9 @@ class _Loop:
     def outcome(self, error: KalmapError | None, interrupted: bool) -> Outcome:
         """Everything kept so far."""
         recorder = self.recorder
+        reckoned = None
+        if self.reckoner is not None:
+            reckoned = np.array(recorder.times), np.array(recorder.reckoned).reshape(-1, 3)
         return Outcome(
             estimate=self.slam.estimate(),
             trace=recorder.trace(),
@@ -202,7 +222,7 @@ class _Loop:
             skipped_total=self.skipped_total,
             truth_ids=np.concatenate(self.truth) if self.truth else np.zeros(0, dtype=np.int64),
             labels=np.concatenate(self.labels) if self.labels else np.zeros(0, dtype=np.int64),
-            dead_reckoning=(np.array(recorder.times), np.array(recorder.reckoned).reshape(-1, 3)),
+            dead_reckoning=reckoned,
             error=error,
             interrupted=interrupted,
         )

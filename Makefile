@@ -1,0 +1,42 @@
+# Everything runs in .venv, which `make` builds itself; nothing but Python 3.11 or newer is needed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test test-slow lint bench bench-peers clean
+
+$(VENV)/.ready: pyproject.toml src/kalmap/_version.py
+	@test -d $(VENV) || $(PYTHON) -m venv $(VENV) || { \
+	  echo "this Python cannot make environments; installing its venv package"; \
+	  apt-get update -q && apt-get install -y -q python3-venv && rm -rf $(VENV) && $(PYTHON) -m venv $(VENV); }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $@
+
+demo: $(VENV)/.ready
+	$(BIN)/kalmap demo --out kalmap-demo
+
+test: $(VENV)/.ready
+	$(BIN)/python -m pytest -q -m "not slow"
+
+# The long Monte Carlo checks; KALMAP_SLOW_SEEDS says how many seeds each takes.
+test-slow: $(VENV)/.ready
+	$(BIN)/python -m pytest -q -m slow
+
+lint: $(VENV)/.ready
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/ruff format --check src tests benchmarks
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.ready
+	$(BIN)/python benchmarks/smoke.py
+
+# Against GTSAM and MRPT, where they are; see benchmarks/README.md.
+bench-peers: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[peers]"
+	$(BIN)/python benchmarks/scaling.py
+	$(BIN)/python benchmarks/peers_speed.py
+	$(BIN)/python benchmarks/peers_accuracy.py
+
+clean:
+	rm -rf $(VENV) kalmap-* .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,33 @@
+"""`kalmap check`: what is in a log, and what is wrong with it."""
+
+from __future__ import annotations
+
+import click
+
+from kalmap.cli.options import parse_robot
+
+
+@click.command("check", short_help="Say what is in a log and what is wrong with it.")
+@click.argument("log")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@click.option("--robot", metavar="K", help="Which robot of a log of several.")
+@click.option("--variant", help="Which form of a log that has several.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, help="Seed of a simulated world.")
+def command(log: str, as_json: bool, robot: str | None, variant: str | None, seed: int) -> None:
+    """Counts, rates, gaps, clock jumps, late or repeated stamps, NaN and impossible values of LOG.
+
+    Exit code 0 if the log is good, 1 if it has problems, 2 if it cannot be read.
+    """
+    import msgspec
+
+    from kalmap.cli.source import find_world, open_source
+    from kalmap.data import check_log, format_report, open_log
+
+    number = parse_robot(robot)
+    if find_world(log, {}) is None:
+        opened = open_log(log, robot=number, variant=variant)
+    else:
+        opened = open_source(log, seed, {}, number, variant)
+    report = check_log(opened)
+    click.echo(msgspec.json.format(msgspec.json.encode(report), indent=2) if as_json else format_report(report))
+    click.get_current_context().exit(1 if report.verdict == "problems" else 0)

@@ -1,0 +1,136 @@
+"""`kalmap compare`: several filters over the same log, or over several seeds of a world."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from kalmap.cli.options import gather, parse_robot, shared_options
+
+_SHOWN = ("position_rmse_m", "heading_rmse_deg", "feature_rmse_m", "nees_mean", "nis_mean", "step_ms_mean", "landmarks")
+
+
+@click.command("compare", short_help="Run several filters over the same log.")
+@click.argument("log")
+@click.option(
+    "--methods",
+    required=True,
+    metavar="A,B,...",
+    help="Filters by name, each with :additive, :invariant, :joint or :sequential behind it if wanted.",
+)
+@click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of a simulated world.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes for several seeds.")
+@click.option("--out", type=click.Path(path_type=Path), help="Result folder; default kalmap-compare-LOG.")
+@shared_options
+def command(log: str, methods: str, runs: int, workers: int | None, out: Path | None, **given: Any) -> None:
+    """Run METHODS over LOG, on the same data and one after the other, and set them side by side.
+
+    With --runs N, for a world: seeds 1 to N (or from --seed on), with a paired test against the first method.
+    """
+    if runs > 1:
+        code = _seeds(log, methods, runs, workers, out, given)
+    else:
+        code = _single(log, methods, out, given)
+    click.get_current_context().exit(code)
+
+
+def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) -> int:
+    from kalmap.cli.progress import progress_bar, time_span
+    from kalmap.cli.run import exit_code, merge_seed
+    from kalmap.cli.settings import resolve
+    from kalmap.cli.source import open_source
+    from kalmap.data.results import check_result_folder
+    from kalmap.perception import ReflectorDetector
+    from kalmap.records import RunConfig
+    from kalmap.study import compare_methods, parse_methods
+    from kalmap.study.present import save_comparison
+
+    started = datetime.now(UTC)
+    settings, world = gather(given)
+    seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
+    log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"])
+    config = resolve(log.defaults, merge_seed(settings, seed))
+    chosen = parse_methods(methods.split(","), config.filter)
+    folder = out or Path(f"kalmap-compare-{log.name}")
+    check_result_folder(folder)
+    span = time_span(log)
+    with progress_bar(log.name, given["quiet"]) as show:
+
+        def reached(_: str, now: float) -> None:
+            if show is not None:
+                show(now - span[0] if span else 0.0, span[1] - span[0] if span else None)
+
+        results = compare_methods(
+            log, chosen, config=config, detector=ReflectorDetector(), tolerant=config.tolerant, progress=reached
+        )
+    metrics = save_comparison(folder, results, log, started=started)
+    if not given["quiet"]:
+        _table([(result.method, metrics.get(result.method, {})) for result in results])
+        click.echo(f"written to {folder}")
+    codes = [
+        exit_code(result.error, result.outcome is not None and result.outcome.interrupted) for result in results
+    ]
+    return max(codes, default=0)
+
+
+def _seeds(
+    text: str, methods: str, runs: int, workers: int | None, out: Path | None, given: dict[str, Any]
+) -> int:
+    from kalmap.cli.progress import progress_bar
+    from kalmap.cli.settings import resolve
+    from kalmap.cli.source import find_world
+    from kalmap.data.native_map import write_atomically
+    from kalmap.records import ConfigError, RunConfig
+    from kalmap.study import compare_seeds, paired_rows, parse_methods, runs_csv, summary_csv
+
+    settings, overrides = gather(given)
+    world = find_world(text, overrides)
+    if world is None:
+        raise ConfigError(f"--runs {runs}: {text} is a log; only a world can be run with several seeds")
+    extra = sorted(set(settings) - {"filter", "association", "seed"})
+    if extra:
+        raise ConfigError(f"{extra[0]}: with --runs the filters take the world's own noise and sensor")
+    config = resolve(RunConfig(), settings)
+    chosen = parse_methods(methods.split(","), config.filter)
+    folder = out or Path(f"kalmap-compare-{world.name}")
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress_bar(world.name, given["quiet"]) as show:
+        result = compare_seeds(
+            world,
+            chosen,
+            range(config.seed, config.seed + runs),
+            association=config.association,
+            workers=workers,
+            out=folder,
+            progress=None if show is None else lambda done, total: show(done, total),
+        )
+    write_atomically(folder / "runs.csv", runs_csv(result).encode())
+    write_atomically(folder / "summary.csv", summary_csv(result).encode())
+    if not given["quiet"]:
+        for metric in ("position_rmse_m", "feature_rmse_m", "nees_mean"):
+            _paired(metric, paired_rows(result, metric))
+        click.echo(f"written to {folder}")
+    return 0
+
+
+def _table(rows: list[tuple[str, dict[str, Any]]]) -> None:
+    """Methods against metrics, as wide as their names."""
+    width = max([len(name) for name, _ in rows] + [6])
+    click.echo(" ".join(["method".ljust(width), *(key.rjust(16) for key in _SHOWN)]))
+    for name, metrics in rows:
+        cells = ["-" if metrics.get(key) is None else f"{metrics[key]:.4g}" for key in _SHOWN]
+        click.echo(" ".join([name.ljust(width), *(cell.rjust(16) for cell in cells)]))
+
+
+def _paired(metric: str, rows: list[Any]) -> None:
+    click.echo(f"{metric}: mean over the seeds; difference from {rows[0].method} with 95 % interval; Wilcoxon p")
+    for row in rows:
+        mean = "-" if row.mean is None else f"{row.mean:.4g}"
+        test = row.test
+        against = "" if test is None else (
+            f"  {test.mean_difference:+.4g} [{test.low:+.4g}, {test.high:+.4g}]  p = {test.p_value:.2g}"
+        )
+        click.echo(f"  {row.method}: {mean} ({row.runs} runs){against}")

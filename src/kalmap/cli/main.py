@@ -1,0 +1,77 @@
+"""The `kalmap` command. Each verb has a file of its own, imported when it is called."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+import click
+
+from kalmap._version import __version__
+
+_VERBS = {
+    "demo": "Run the main job on the built-in world.",
+    "run": "Run a filter over a log or a simulated world.",
+    "compare": "Run several filters over the same log.",
+    "check": "Say what is in a log and what is wrong with it.",
+    "reproduce": "Make a paper's tables and figures again.",
+}
+
+BAD_INPUT, INTERNAL, INTERRUPTED = 2, 70, 130
+
+
+class _Verbs(click.Group):
+    """A group that knows its verbs' one-line helps without importing them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _VERBS:
+            return None
+        return import_module(f"kalmap.cli.{cmd_name}").command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_VERBS.items()))
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="kalmap", message="%(prog)s %(version)s")
+def kalmap() -> None:
+    """2-D SLAM from logs: trajectory, map and honest covariances. No ROS needed.
+
+    Exit codes: 0 all is well; 1 `check` found problems or a claim did not hold; 2 bad input or usage (what was
+    computed before is written); 70 a fault of kalmap itself; 130 interrupted (what there is is written).
+    """
+
+
+def main() -> None:
+    """Entry point: every error becomes one line and an exit code."""
+    from kalmap.records.errors import KalmapError
+
+    try:
+        code = kalmap.main(standalone_mode=False)
+    except KalmapError as problem:
+        _say(f"error: {problem}")
+        code = BAD_INPUT
+    except click.ClickException as problem:
+        problem.show()
+        code = problem.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        _say("interrupted")
+        code = INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except Exception as problem:  # the one place where a fault of kalmap meets the user
+        if os.environ.get("KALMAP_DEBUG"):
+            raise
+        _say(f"internal error: {type(problem).__name__}: {problem} (KALMAP_DEBUG=1 shows where; please report it)")
+        code = INTERNAL
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _say(text: str) -> None:
+    click.echo(f"kalmap: {' '.join(text.split())}", err=True)

@@ -1,0 +1,68 @@
+"""Options that several verbs share, and what they amount to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from kalmap.cli.settings import Settings, merge, parse_pairs, read_config
+
+FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
+
+_SHARED = (
+    click.option("--scope", type=click.Choice(["full", "reduced"]), help="What the lineariser is handed."),
+    click.option("--coordinates", type=click.Choice(["invariant", "additive"]), help="Error coordinates."),
+    click.option("--use", type=click.Choice(["joint", "sequential"]), help="How a frame's sightings are used."),
+    click.option(
+        "--association", type=click.Choice(["known", "likelihood"]), help="By the log's ids, or by likelihood."
+    ),
+    click.option("--config", "config_file", type=click.Path(path_type=Path), help="TOML or JSON settings."),
+    click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One setting; may be repeated."),
+    click.option("--seed", type=click.IntRange(min=0), help="Seed of a simulated world."),
+    click.option("--robot", metavar="K|all", help="Which robot of a log of several."),
+    click.option("--variant", help="Which form of a log that has several (detections, ascii, scans, ...)."),
+    click.option("--tolerant", is_flag=True, help="Skip bad records, count and list them."),
+    click.option("--quiet", "-q", is_flag=True, help="No progress, no summary."),
+)
+
+
+def shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of every verb that runs a filter."""
+    for option in reversed(_SHARED):
+        command = option(command)
+    return command
+
+
+def gather(given: dict[str, Any]) -> tuple[Settings, dict[str, Any]]:
+    """Settings from file, pairs and flags, later ones on top; and apart from them those of the world."""
+    settings = read_config(given["config_file"]) if given["config_file"] else {}
+    settings = merge(settings, parse_pairs(given["pairs"]))
+    flags: Settings = {}
+    for key in ("scope", "coordinates", "use"):
+        if given[key] is not None:
+            flags.setdefault("filter", {})[key] = given[key]
+    if given.get("filter_name") is not None:
+        flags.setdefault("filter", {})["name"] = given["filter_name"]
+    if given["association"] is not None:
+        flags["association"] = {"method": given["association"]}
+    if given["seed"] is not None:
+        flags["seed"] = given["seed"]
+    if given["tolerant"]:
+        flags["tolerant"] = True
+    settings = merge(settings, flags)
+    world = settings.pop("world", {})
+    if not isinstance(world, dict):
+        raise click.UsageError("world: expected settings such as world.laps=1")
+    return settings, world
+
+
+def parse_robot(text: str | None) -> int | None:
+    """--robot as a number; `all` is the caller's business."""
+    if text is None:
+        return None
+    if not text.isdigit():
+        raise click.UsageError(f"--robot {text}: expected a number or all")
+    return int(text)

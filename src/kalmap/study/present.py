@@ -1,0 +1,183 @@
+"""One run as people look at it: its metrics, pictures, page and result folder."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from kalmap._version import __version__
+from kalmap.data.native_map import write_atomically
+from kalmap.data.results import check_result_folder, write_manifest, write_result
+from kalmap.evaluation import consistency, trajectory
+from kalmap.geometry.alignment import apply
+from kalmap.geometry.angles import wrap
+from kalmap.records import Log, Manifest, Reference, RunConfig
+from kalmap.slam import Outcome
+from kalmap.study.cases import judge
+from kalmap.study.compare import Compared
+from kalmap.view import (
+    Aligned,
+    Errors,
+    RunView,
+    comparison_figures,
+    render_comparison,
+    render_report,
+    run_figures,
+    save_figures,
+)
+
+_PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "msgspec")
+
+
+def method_label(config: RunConfig) -> str:
+    """The filter as tables and pictures name it."""
+    chosen = config.filter
+    scope = f", {chosen.scope}" if chosen.scope else ""
+    use = ", sequential" if chosen.use == "sequential" else ""
+    return f"{chosen.name}, {chosen.coordinates}{scope}{use}"
+
+
+def run_view(outcome: Outcome, log: Log, label: str) -> RunView:
+    """The run with its first reference brought into the estimate's frame, and the errors against it."""
+    if not log.references:
+        return RunView(method=label, log=log.name, estimate=outcome.estimate, trace=outcome.trace)
+    reference = log.references[0]
+    matched = trajectory.match(outcome.trace.times, outcome.trace.poses, reference)
+    moved, angle, translation = matched, 0.0, np.zeros(2)
+    if reference.frame != "map":
+        moved, (angle, translation) = trajectory.aligned(matched)
+    return RunView(
+        method=label,
+        log=log.name,
+        estimate=outcome.estimate,
+        trace=outcome.trace,
+        reference=_into_map(reference, angle, translation),
+        errors=_errors(outcome, matched, moved, reference, angle) if len(matched) else None,
+    )
+
+
+def _into_map(reference: Reference, angle: float, translation: np.ndarray) -> Aligned:
+    """Undo the motion that brought the estimate onto the reference."""
+    back = -np.asarray(apply(-angle, np.zeros(2), translation[None]))[0]
+    return Aligned(
+        kind=reference.kind,
+        path=apply(-angle, back, reference.positions),
+        landmarks=apply(-angle, back, reference.landmarks),
+    )
+
+
+def _errors(
+    outcome: Outcome, matched: trajectory.Matched, moved: trajectory.Matched, reference: Reference, angle: float
+) -> Errors:
+    """Estimate minus reference along the map's axes; the NEES where the reference needs no alignment."""
+    covariances = outcome.trace.covariances[matched.rows]
+    values = moved.estimated - moved.reference
+    values[:, :2] = apply(-angle, np.zeros(2), values[:, :2])
+    values[:, 2] = wrap(values[:, 2])
+    nees = np.full(len(matched), np.nan)
+    if reference.frame == "map" and not reference.point.any():
+        poses = outcome.trace.poses[matched.rows]
+        nees = consistency.pose_nees(matched.reference, poses, covariances, outcome.estimate.coordinates)
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    return Errors(outcome.trace.times[matched.rows], values, np.sqrt(np.maximum(variances, 0.0)), nees)
+
+
+def manifest_of(outcome: Outcome, log: Log, config: RunConfig, command: str, started: datetime) -> Manifest:
+    """What the result was made from, with a hash of every file that the events came from."""
+    return Manifest(
+        kalmap=__version__,
+        python=platform.python_version(),
+        platform=platform.platform(),
+        packages={name: version(name) for name in _PACKAGES},
+        command=command,
+        log=log.name,
+        source=log.source,
+        data_sha256={Path(name).name: _hash(Path(name)) for name in log.files},
+        seed=config.seed,
+        config=msgspec.to_builtins(config),
+        started=started.isoformat(timespec="seconds"),
+        finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        completed=outcome.error is None and not outcome.interrupted,
+        interrupted=outcome.interrupted,
+        error=None if outcome.error is None else str(outcome.error),
+        skipped=[msgspec.to_builtins(record) for record in outcome.skipped],
+        skipped_total=outcome.skipped_total,
+    )
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def save_run(
+    folder: Path,
+    outcome: Outcome,
+    log: Log,
+    config: RunConfig,
+    *,
+    started: datetime,
+    command: str | None = None,
+    figures: bool = True,
+) -> dict[str, float | int | None]:
+    """Write the result folder of a run, also of one that was cut short; returns its metrics.
+
+    Raises KalmapError if the folder holds something else.
+    """
+    check_result_folder(folder)
+    metrics = judge(outcome, log, config)
+    manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
+    write_result(folder, estimate=outcome.estimate, trace=outcome.trace, metrics=metrics, manifest=manifest)
+    if figures:
+        view = run_view(outcome, log, method_label(config))
+        drawn = run_figures(view)
+        save_figures(folder / "figures", drawn)
+        page = render_report(view, metrics=metrics, manifest=manifest, figures=drawn)
+        write_atomically(folder / "report.html", page.encode())
+    return metrics
+
+
+def save_comparison(
+    folder: Path, results: Sequence[Compared], log: Log, *, started: datetime
+) -> dict[str, dict[str, float | int | None]]:
+    """Each method's result in a folder of its own, and a page, table and figures over all of them.
+
+    Returns metrics by method; methods that could not start are in the page's warnings only.
+    """
+    check_result_folder(folder)
+    views, metrics, manifests, warnings = [], {}, {}, []
+    for result in results:
+        if result.error is not None:
+            warnings.append(f"{result.method}: {result.error}")
+        if result.outcome is None:
+            continue
+        inside = folder / result.method.replace(":", "-")
+        metrics[result.method] = save_run(inside, result.outcome, log, result.config, started=started, figures=False)
+        views.append(run_view(result.outcome, log, result.method))
+        manifests[result.method] = manifest_of(result.outcome, log, result.config, " ".join(sys.argv), started)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / "metrics.json", _json(metrics))
+    if manifests:
+        first = next(iter(manifests.values()))
+        configs = {name: one.config for name, one in manifests.items()}
+        write_manifest(folder, msgspec.structs.replace(first, config=configs))
+    if views:
+        drawn = comparison_figures(views, metrics)
+        save_figures(folder / "figures", drawn)
+        page = render_comparison(
+            views, metrics, manifests=manifests, title=f"{log.name}: comparison", figures=drawn, warnings=warnings
+        )
+        write_atomically(folder / "report.html", page.encode())
+    return metrics
+
+
+def _json(value: object) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"
