@@ -46,7 +46,9 @@ class Likelihood(msgspec.Struct, frozen=True, tag=True):
         confirmed, retired = self._review(memory, matched, predicted)
         return Association(matched, self.confirm > 1, confirmed, retired), memory
 
-    def _review(self, memory: Any, matched: np.ndarray, predicted: Predicted) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def _review(
+        self, memory: Any, matched: np.ndarray, predicted: Predicted
+    ) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Count the frame for every landmark on trial; retire those whose time is up."""
         memory.extend([[1, 1] if self.confirm > 1 else None for _ in range(int((matched == NEW).sum()))])
         trial = [i for i in range(predicted.count) if memory[i] is not None]

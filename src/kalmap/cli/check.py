@@ -29,5 +29,7 @@ def command(log: str, as_json: bool, robot: str | None, variant: str | None, see
     else:
         opened = open_source(log, seed, {}, number, variant)
     report = check_log(opened)
-    click.echo(msgspec.json.format(msgspec.json.encode(report), indent=2) if as_json else format_report(report))
+    click.echo(
+        msgspec.json.format(msgspec.json.encode(report), indent=2) if as_json else format_report(report)
+    )
     click.get_current_context().exit(1 if report.verdict == "problems" else 0)

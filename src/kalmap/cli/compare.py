@@ -10,7 +10,15 @@ import click
 
 from kalmap.cli.options import gather, parse_robot, shared_options
 
-_SHOWN = ("position_rmse_m", "heading_rmse_deg", "feature_rmse_m", "nees_mean", "nis_mean", "step_ms_mean", "landmarks")
+_SHOWN = (
+    "position_rmse_m",
+    "heading_rmse_deg",
+    "feature_rmse_m",
+    "nees_mean",
+    "nis_mean",
+    "step_ms_mean",
+    "landmarks",
+)
 
 
 @click.command("compare", short_help="Run several filters over the same log.")
@@ -21,7 +29,9 @@ _SHOWN = ("position_rmse_m", "heading_rmse_deg", "feature_rmse_m", "nees_mean", 
     metavar="A,B,...",
     help="Filters by name, each with :additive, :invariant, :joint or :sequential behind it if wanted.",
 )
-@click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of a simulated world.")
+@click.option(
+    "--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of a simulated world."
+)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes for several seeds.")
 @click.option("--out", type=click.Path(path_type=Path), help="Result folder; default kalmap-compare-LOG.")
 @shared_options
@@ -64,14 +74,20 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
                 show(now - span[0] if span else 0.0, span[1] - span[0] if span else None)
 
         results = compare_methods(
-            log, chosen, config=config, detector=ReflectorDetector(), tolerant=config.tolerant, progress=reached
+            log,
+            chosen,
+            config=config,
+            detector=ReflectorDetector(),
+            tolerant=config.tolerant,
+            progress=reached,
         )
     metrics = save_comparison(folder, results, log, started=started)
     if not given["quiet"]:
         _table([(result.method, metrics.get(result.method, {})) for result in results])
         click.echo(f"written to {folder}")
     codes = [
-        exit_code(result.error, result.outcome is not None and result.outcome.interrupted) for result in results
+        exit_code(result.error, result.outcome is not None and result.outcome.interrupted)
+        for result in results
     ]
     return max(codes, default=0)
 
@@ -126,11 +142,17 @@ def _table(rows: list[tuple[str, dict[str, Any]]]) -> None:
 
 
 def _paired(metric: str, rows: list[Any]) -> None:
-    click.echo(f"{metric}: mean over the seeds; difference from {rows[0].method} with 95 % interval; Wilcoxon p")
+    click.echo(
+        f"{metric}: mean over the seeds; difference from {rows[0].method} with 95 % interval; Wilcoxon p"
+    )
     for row in rows:
         mean = "-" if row.mean is None else f"{row.mean:.4g}"
         test = row.test
-        against = "" if test is None else (
-            f"  {test.mean_difference:+.4g} [{test.low:+.4g}, {test.high:+.4g}]  p = {test.p_value:.2g}"
+        against = (
+            ""
+            if test is None
+            else (
+                f"  {test.mean_difference:+.4g} [{test.low:+.4g}, {test.high:+.4g}]  p = {test.p_value:.2g}"
+            )
         )
         click.echo(f"  {row.method}: {mean} ({row.runs} runs){against}")

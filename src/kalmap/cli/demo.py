@@ -16,7 +16,9 @@ def command(out: Path, seed: int, quiet: bool) -> None:
     from kalmap.cli.run import run_once
 
     given = dict.fromkeys(("scope", "coordinates", "use", "association", "config_file", "robot", "variant"))
-    code, _ = run_once("course-35", out, {**given, "pairs": (), "seed": seed, "tolerant": False, "quiet": quiet}, None)
+    code, _ = run_once(
+        "course-35", out, {**given, "pairs": (), "seed": seed, "tolerant": False, "quiet": quiet}, None
+    )
     if not quiet:
         click.echo(f"open {out / 'report.html'}; the map is {out / 'figures' / 'map.png'}")
     click.get_current_context().exit(code)

@@ -9,6 +9,7 @@ from importlib import import_module
 import click
 
 from kalmap._version import __version__
+from kalmap.cli.messages import say
 
 _VERBS = {
     "demo": "Run the main job on the built-in world.",
@@ -52,26 +53,47 @@ def main() -> None:
     from kalmap.records.errors import KalmapError
 
     try:
-        code = kalmap.main(standalone_mode=False)
+        code = kalmap.main(prog_name="kalmap", standalone_mode=False)
+        sys.stdout.flush()
+    except SystemExit as leaving:  # click's answer to a reader of our output who has gone: no fault of anyone
+        _drop_output()
+        code = 0 if leaving.code == 1 else leaving.code
+    except BrokenPipeError:
+        _drop_output()
+        code = 0
     except KalmapError as problem:
-        _say(f"error: {problem}")
+        say(f"error: {problem}")
         code = BAD_INPUT
     except click.ClickException as problem:
-        problem.show()
+        say(f"error: {problem.format_message()}{_where_help_is(problem)}")
         code = problem.exit_code
     except (click.Abort, KeyboardInterrupt):
-        _say("interrupted")
+        say("interrupted")
         code = INTERRUPTED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
+    except OSError as problem:  # the disk is full, a folder cannot be made: nothing that kalmap could help
+        say(f"error: {_of_system(problem)}")
+        code = BAD_INPUT
     except Exception as problem:  # the one place where a fault of kalmap meets the user
         if os.environ.get("KALMAP_DEBUG"):
             raise
-        _say(f"internal error: {type(problem).__name__}: {problem} (KALMAP_DEBUG=1 shows where; please report it)")
+        say(
+            f"internal error: {type(problem).__name__}: {problem} (KALMAP_DEBUG=1 shows where; please report it)"
+        )
         code = INTERNAL
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _say(text: str) -> None:
-    click.echo(f"kalmap: {' '.join(text.split())}", err=True)
+def _where_help_is(problem: click.ClickException) -> str:
+    context = problem.ctx if isinstance(problem, click.UsageError) else None
+    return "" if context is None else f" (see {context.command_path} --help)"
+
+
+def _of_system(problem: OSError) -> str:
+    reason = (problem.strerror or str(problem) or type(problem).__name__).lower()
+    return reason if problem.filename is None else f"{problem.filename}: {reason}"
+
+
+def _drop_output() -> None:
+    """Send what is still to be written nowhere, so that nobody complains when the interpreter ends."""
+    sys.stdout = sys.__stdout__
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

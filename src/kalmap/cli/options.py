@@ -15,9 +15,13 @@ FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
 _SHARED = (
     click.option("--scope", type=click.Choice(["full", "reduced"]), help="What the lineariser is handed."),
     click.option("--coordinates", type=click.Choice(["invariant", "additive"]), help="Error coordinates."),
-    click.option("--use", type=click.Choice(["joint", "sequential"]), help="How a frame's sightings are used."),
     click.option(
-        "--association", type=click.Choice(["known", "likelihood"]), help="By the log's ids, or by likelihood."
+        "--use", type=click.Choice(["joint", "sequential"]), help="How a frame's sightings are used."
+    ),
+    click.option(
+        "--association",
+        type=click.Choice(["known", "likelihood"]),
+        help="By the log's ids, or by likelihood.",
     ),
     click.option("--config", "config_file", type=click.Path(path_type=Path), help="TOML or JSON settings."),
     click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One setting; may be repeated."),

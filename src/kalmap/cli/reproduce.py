@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
+Use = Literal["joint", "sequential"]
 PAPERS = ("crcdkf",)
 
 
 @click.command("reproduce", short_help="Make a paper's tables and figures again.")
 @click.argument("paper", type=click.Choice(PAPERS))
 @click.option("--runs", type=click.IntRange(min=1), default=50, show_default=True, help="Seeds a method.")
-@click.option("--full-runs", type=click.IntRange(min=1), help="Seeds of the full CDKF (slow); default as --runs.")
+@click.option(
+    "--full-runs", type=click.IntRange(min=1), help="Seeds of the full CDKF (slow); default as --runs."
+)
 @click.option("--use", type=click.Choice(["joint", "sequential"]), default="joint", show_default=True)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default one a core.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder; default kalmap-reproduce-PAPER.")
 @click.option("--quiet", "-q", is_flag=True, help="No progress, no table.")
 def command(
-    paper: str, runs: int, full_runs: int | None, use: str, workers: int | None, out: Path | None, quiet: bool
+    paper: str, runs: int, full_runs: int | None, use: Use, workers: int | None, out: Path | None, quiet: bool
 ) -> None:
     """Reproduce PAPER: crcdkf, Chen & Cheng 2012, tables 1 and 2 and figure 2.
 
@@ -27,14 +31,18 @@ def command(
     from kalmap.cli.progress import progress_bar
     from kalmap.cli.source import bailey_map
     from kalmap.records import LogError
+    from kalmap.simulate.catalogue import Maps
     from kalmap.study import reproduce_crcdkf
 
     folder = out or Path(f"kalmap-reproduce-{paper}")
-    maps = bailey_map
+    maps: Maps | None = bailey_map
     try:
         bailey_map("example_webmap")
     except LogError as problem:
-        click.echo(f"kalmap: {problem}: the package's own course stands in, and the paper's numbers do not apply", err=True)
+        click.echo(
+            f"kalmap: {problem}: the package's own course stands in, and the paper's numbers do not apply",
+            err=True,
+        )
         maps = None
     with progress_bar(f"reproduce {paper}", quiet) as show:
         reproduction = reproduce_crcdkf(
@@ -49,4 +57,6 @@ def command(
     if not quiet:
         click.echo((folder / "crcdkf.md").read_text(encoding="utf-8"))
         click.echo(f"written to {folder}")
-    click.get_current_context().exit(1 if any(claim.verdict == "fails" for claim in reproduction.claims) else 0)
+    click.get_current_context().exit(
+        1 if any(claim.verdict == "fails" for claim in reproduction.claims) else 0
+    )

@@ -80,7 +80,9 @@ def run_once(
     metrics = save_run(folder, outcome, log, config, started=started)
     if not given["quiet"]:
         summary_line(f"{log.name}, {method_label(config)}", metrics)
-        click.echo(f"written to {folder}{'' if outcome.error or outcome.interrupted else ' (see report.html)'}")
+        click.echo(
+            f"written to {folder}{'' if outcome.error or outcome.interrupted else ' (see report.html)'}"
+        )
     return exit_code(outcome.error, outcome.interrupted), metrics
 
 

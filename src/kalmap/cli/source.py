@@ -65,7 +65,9 @@ def _changed(world: World, overrides: dict[str, Any]) -> World:
     return msgspec.structs.replace(world, **overrides)
 
 
-def open_source(text: str, seed: int, overrides: dict[str, Any], robot: int | None, variant: str | None) -> Log:
+def open_source(
+    text: str, seed: int, overrides: dict[str, Any], robot: int | None, variant: str | None
+) -> Log:
     """The log to run: read from a path, or simulated from the seed."""
     world = find_world(text, overrides)
     if world is not None:

@@ -39,7 +39,9 @@ def open_car_park(path: Path, variant: str | None, detector: Detector | None) ->
     return Log(
         name="car-park",
         source=str(path.parent),
-        defaults=msgspec.structs.replace(car, sensor=msgspec.structs.replace(car.sensor, max_range=POLE_RANGE)),
+        defaults=msgspec.structs.replace(
+            car, sensor=msgspec.structs.replace(car.sensor, max_range=POLE_RANGE)
+        ),
         open=StreamEvents(lambda: _streams(path), detector if variant == "sightings" else None),
         references=(gps_reference(fixes, poles),),
         files=(str(path),),

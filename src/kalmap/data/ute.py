@@ -39,7 +39,9 @@ BEAM_BEARINGS = np.deg2rad(0.5 * np.arange(BEAMS)) - np.pi / 2
 
 def defaults(*, identified: bool) -> RunConfig:
     """What the car's logs start from; association by the log's ids where it has them."""
-    method = AssociationConfig(method="known") if identified else AssociationConfig(method="likelihood", confirm=3)
+    method = (
+        AssociationConfig(method="known") if identified else AssociationConfig(method="likelihood", confirm=3)
+    )
     return RunConfig(motion=MOTION, sensor=SENSOR, association=method)
 
 

@@ -54,10 +54,7 @@ class Belief:
     def flush(self) -> None:
         """Carry the motion since the last frame to the cross-covariance with the map: O(n)."""
         if self.pending:
-            if self.n > self.robot:
-                kernel.transform_leading(self.packed, self.n, self.robot, self.phi)
-            self.phi[:] = 0.0
-            self.phi.flat[:: self.robot + 1] = 1.0
+            kernel.transform_leading(self.packed, self.n, self.robot, self.phi)
             self.pending = False
 
     def remove(self, first: int, count: int) -> None:

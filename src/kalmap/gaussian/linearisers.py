@@ -69,7 +69,14 @@ class Jacobian(msgspec.Struct, frozen=True, tag=True):
 
 
 def _regress(
-    f: Function, mean: np.ndarray, cov: np.ndarray, s: float, w_mean: float, w_zero: float, w_even: float, centred: bool
+    f: Function,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    s: float,
+    w_mean: float,
+    w_zero: float,
+    w_even: float,
+    centred: bool,
 ) -> Regression:
     """The scheme shared by all sigma-point rules (see `kalmap.kernels.regression`)."""
     root = semidefinite_root(cov)

@@ -49,7 +49,9 @@ def log_position(angle: np.ndarray, p: np.ndarray) -> np.ndarray:
     """V(angle)^-1 p: the inverse of `exp_position` for |angle| < 2 pi."""
     s, c = _left_jacobian(angle)
     scale = 1.0 / (s**2 + c**2)
-    return np.stack([scale * (s * p[..., 0] + c * p[..., 1]), scale * (s * p[..., 1] - c * p[..., 0])], axis=-1)
+    return np.stack(
+        [scale * (s * p[..., 0] + c * p[..., 1]), scale * (s * p[..., 1] - c * p[..., 0])], axis=-1
+    )
 
 
 def quarter_turn(v: np.ndarray) -> np.ndarray:

@@ -45,3 +45,4 @@ OK = 0
 NOT_POSITIVE = 1  # a prior block has no square root
 INNOVATION_NOT_POSITIVE = 2  # an innovation covariance has none
 NOT_FINITE = 3
+BAD_SAMPLE = 4  # an odometry sample is not finite or has a negative duration

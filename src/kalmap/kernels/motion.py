@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from kalmap.kernels.layout import (
+    BAD_SAMPLE,
     BIAS_CODE,
     BIAS_COUNT,
     BIAS_SPEED_SCALE,
@@ -218,7 +219,23 @@ def _next_difference(setup, pose, heading, step0, deviation, control, noise, bia
 
 
 @njit(cache=True, nogil=True)
-def _step_by_points(setup, pose, heading, step0, control, biases, c, dt, root, matrix, residual, offset, plus, minus, deviation):
+def _step_by_points(
+    setup,
+    pose,
+    heading,
+    step0,
+    control,
+    biases,
+    c,
+    dt,
+    root,
+    matrix,
+    residual,
+    offset,
+    plus,
+    minus,
+    deviation,
+):
     """Regress the next pose on (pose, biases, control) by sigma points along the columns of `root`."""
     d = 3 + len(biases)
     n = d + c
@@ -290,12 +307,19 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
     unpack(packed, d, block)
     q, root = np.zeros((c, c)), np.zeros((n, n))
     matrix, residual, offset = np.zeros((3, n)), np.zeros((3, 3)), np.zeros(3)
-    scratch, plus, minus, top = np.zeros((10, max(n, 5))), np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
+    scratch, plus, minus, top = (
+        np.zeros((10, max(n, 5))),
+        np.empty((n, 3)),
+        np.empty((n, 3)),
+        np.empty((3, n)),
+    )
     state_root, noise_root = root[:d, :d], root[d:, d:]
     nothing, deviation = scratch[9], scratch[8]
     for t in range(len(durations)):
         dt = durations[t]
         control = (controls[t, 0], controls[t, 1] if c == 3 else 0.0, controls[t, c - 1])
+        if not (dt >= 0.0 and math.isfinite(dt + control[0] + control[1] + control[2])):
+            return BAD_SAMPLE
         if len(covariances) > 0:
             q[:, :] = covariances[t]
         else:
@@ -308,7 +332,21 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
             if not square_root(block, d, state_root) or not square_root(q, c, noise_root):
                 return NOT_POSITIVE
             _step_by_points(
-                setup, pose, heading, step, control, biases, c, dt, root, matrix, residual, offset, plus, minus, deviation
+                setup,
+                pose,
+                heading,
+                step,
+                control,
+                biases,
+                c,
+                dt,
+                root,
+                matrix,
+                residual,
+                offset,
+                plus,
+                minus,
+                deviation,
             )
         pose = _move_mean(setup, pose, heading, step, offset, matrix, residual)
         _advance(matrix, residual, q, d, c, block, total, top)

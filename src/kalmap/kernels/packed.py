@@ -80,7 +80,10 @@ def copy_row(packed, n, i, out):
 
 @njit(cache=True, nogil=True)
 def transform_leading(packed, n, d, phi):
-    """Carry the cross-covariance of the leading d entries along: rows i >= d get P[i, :d] <- phi P[i, :d]."""
+    """Carry the cross-covariance of the leading d entries along: rows i >= d get P[i, :d] <- phi P[i, :d].
+
+    phi becomes the identity: it has been used up.
+    """
     old = np.empty(d)
     for i in range(d, n):
         start = i * (i + 1) // 2
@@ -91,6 +94,9 @@ def transform_leading(packed, n, d, phi):
             for c in range(d):
                 total += phi[r, c] * old[c]
             packed[start + r] = total
+    for r in range(d):
+        for c in range(d):
+            phi[r, c] = 1.0 if r == c else 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -34,19 +34,20 @@ def sighting_covariance(setup, distance, out):
 
 
 @njit(cache=True, nogil=True)
-def fill_noises(setup, z, out):
-    """out (M, 2, 2): the noise of every sighting of z (M, 2)."""
-    for m in range(len(z)):
-        sighting_covariance(setup, z[m, 0], out[m])
-
-
-@njit(cache=True, nogil=True)
 def first_bad_sighting(z):
     """Index of the first sighting that is not finite or has a negative range; -1 if there is none."""
     for m in range(len(z)):
         if not (math.isfinite(z[m, 0]) and math.isfinite(z[m, 1]) and z[m, 0] >= 0.0):
             return m
     return -1
+
+
+@njit(cache=True, nogil=True)
+def fill_noises(setup, z, out):
+    """out (M, 2, 2): the noise of every sighting of z (M, 2). Returns the first bad sighting's index, or -1."""
+    for m in range(len(z)):
+        sighting_covariance(setup, z[m, 0], out[m])
+    return first_bad_sighting(z)
 
 
 @njit(cache=True, nogil=True)

@@ -46,23 +46,47 @@ def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residua
 
 
 @njit(cache=True, nogil=True)
-def _fill_gain_rows(packed, n, indices, matrices, work):
-    """work[2 m + r, :n] = A_m P, row by row; the pose's rows of P are read once for the whole frame."""
-    pose_rows = np.empty((3, n))
-    for i in range(3):
-        copy_row(packed, n, i, pose_rows[i])
-    first, second = np.empty(n), np.empty(n)
+def _gather_rows(packed, n, indices, rows):
+    """Rows of P in one sweep: two for each landmark of `indices`, then three of the pose; (2 M + 3, >= n).
+
+    Row by row of the triangle, so that what a row holds of all the columns wanted is fetched together.
+    """
+    pose = 2 * len(indices)
+    for i in range(n):
+        base = i * (i + 1) // 2
+        for c in range(3):
+            rows[pose + c, i] = packed[base + c] if c <= i else packed[c * (c + 1) // 2 + i]
     for m in range(len(indices)):
-        copy_row(packed, n, indices[m], first)
-        copy_row(packed, n, indices[m] + 1, second)
+        index = indices[m]
+        first = index * (index + 1) // 2
+        second = first + index + 1
+        for i in range(index + 1):
+            rows[2 * m, i] = packed[first + i]
+        for i in range(index + 2):
+            rows[2 * m + 1, i] = packed[second + i]
+        rows[2 * m, index + 1] = packed[second + index]
+    for i in range(n):
+        base = i * (i + 1) // 2
+        for m in range(len(indices)):
+            if i > indices[m] + 1:
+                rows[2 * m, i] = packed[base + indices[m]]
+                rows[2 * m + 1, i] = packed[base + indices[m] + 1]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _fill_gain_rows(packed, n, indices, matrices, rows, work):
+    """work[2 m + r, :n] = A_m P. rows: work space for the rows of P, at least (2 M + 3, n)."""
+    _gather_rows(packed, n, indices, rows)
+    pose = 2 * len(indices)
+    x_row, y_row, turn_row = rows[pose], rows[pose + 1], rows[pose + 2]
+    for m in range(len(indices)):
+        first, second = rows[2 * m], rows[2 * m + 1]
         for r in range(2):
             a, b, c = matrices[m, r, 0], matrices[m, r, 1], matrices[m, r, 2]
             d, e = matrices[m, r, 3], matrices[m, r, 4]
             row = work[2 * m + r]
             for i in range(n):
-                row[i] = (
-                    a * pose_rows[0, i] + b * pose_rows[1, i] + c * pose_rows[2, i] + d * first[i] + e * second[i]
-                )
+                row[i] = a * x_row[i] + b * y_row[i] + c * turn_row[i] + d * first[i] + e * second[i]
 
 
 @njit(cache=True, nogil=True)
@@ -141,7 +165,7 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
     After an error nothing has been changed.
     """
     k = 2 * len(indices)
-    _fill_gain_rows(packed, n, indices, matrices, right)
+    _fill_gain_rows(packed, n, indices, matrices, left, right)
     root = np.zeros((k, k))
     if not _innovation_root(indices, matrices, noises, right, root):
         return INNOVATION_NOT_POSITIVE, 0.0

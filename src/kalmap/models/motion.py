@@ -32,11 +32,22 @@ class Bias(msgspec.Struct, frozen=True):
 
 
 class MotionModel(Protocol):
-    """What the filter asks of a motion model."""
+    """What the filter asks of a motion model: plain attributes will do for the properties."""
 
-    compiled: bool
-    control_size: int
-    biases: tuple[Bias, ...]
+    @property
+    def compiled(self) -> bool:
+        """Whether the kernels know it; False for any model but the built-in ones."""
+        ...
+
+    @property
+    def control_size(self) -> int:
+        """How many numbers a control sample has."""
+        ...
+
+    @property
+    def biases(self) -> tuple[Bias, ...]:
+        """The constant errors to be estimated as states, in the order that `increment` takes them."""
+        ...
 
     def increment(self, control: np.ndarray, biases: np.ndarray, dt: float) -> np.ndarray:
         """(..., c) raw control and (..., nb) biases -> (..., 3) increment m, m, rad."""

@@ -17,7 +17,10 @@ from kalmap.records import SensorConfig
 class SensorModel(Protocol):
     """What the filter asks of a sensor for point landmarks."""
 
-    compiled: bool
+    @property
+    def compiled(self) -> bool:
+        """Whether the kernels know it; False for any sensor but the built-in one."""
+        ...
 
     def predict(self, pose: np.ndarray, landmark: np.ndarray) -> np.ndarray:
         """(..., 3) and (..., 2) -> (..., 2) range m and bearing rad."""
@@ -61,7 +64,9 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     def locate(self, pose: np.ndarray, z: np.ndarray) -> np.ndarray:
         """(..., 3) and (..., 2) -> (..., 2)."""
         angle = z[..., 1] + self.mount[2]
-        body = np.stack([z[..., 0] * np.cos(angle), z[..., 0] * np.sin(angle)], axis=-1) + np.array(self.mount[:2])
+        body = np.stack([z[..., 0] * np.cos(angle), z[..., 0] * np.sin(angle)], axis=-1) + np.array(
+            self.mount[:2]
+        )
         return pose[..., :2] + rotate(pose[..., 2], body)
 
     def covariance(self, z: np.ndarray) -> np.ndarray:

@@ -16,7 +16,10 @@ def associator_from_config(config: AssociationConfig) -> Associator:
     if config.method == "known":
         return KnownIds()
     return Likelihood(
-        gate=config.gate, new_gate=config.new_gate, confirm=config.confirm, confirm_window=config.confirm_window
+        gate=config.gate,
+        new_gate=config.new_gate,
+        confirm=config.confirm,
+        confirm_window=config.confirm_window,
     )
 
 

@@ -75,17 +75,22 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
         )
         msgspec.json.decode(header, type=_State)
     except (TypeError, msgspec.ValidationError) as problem:
-        raise ConfigError(f"this filter holds a part that is not built in and cannot be saved: {problem}") from problem
+        raise ConfigError(
+            f"this filter holds a part that is not built in and cannot be saved: {problem}"
+        ) from problem
     buffer = io.BytesIO()
-    arrays = {"mean": belief.mean[:n], "packed": belief.packed[: n * (n + 1) // 2], "phi": belief.phi}
-    np.savez(buffer, header=np.frombuffer(header, dtype=np.uint8), **arrays)
+    triangle = belief.packed[: n * (n + 1) // 2]
+    text = np.frombuffer(header, dtype=np.uint8)
+    np.savez(buffer, header=text, mean=belief.mean[:n], packed=triangle, phi=belief.phi)
     target = Path(path)
     partial = target.with_name(target.name + ".partial")
     partial.write_bytes(buffer.getvalue())
     os.replace(partial, target)
 
 
-def load_filter(kind: type[LandmarkSlam], path: str | os.PathLike[str], detector: Detector | None) -> LandmarkSlam:
+def load_filter(
+    kind: type[LandmarkSlam], path: str | os.PathLike[str], detector: Detector | None
+) -> LandmarkSlam:
     """Read what `save_filter` wrote."""
     try:
         with np.load(path, allow_pickle=False) as stored:

@@ -26,8 +26,8 @@ _NO_COVARIANCE = {c: np.zeros((0, c, c)) for c in (2, 3)}
 class Engine(Protocol):
     """What a filter does to a belief. Every method raises NotPositiveError and leaves the belief as it was."""
 
-    def noises(self, z: np.ndarray) -> np.ndarray:
-        """(M, 2, 2) sensor noise of a frame whose log states none."""
+    def noises(self, z: np.ndarray) -> tuple[np.ndarray, int]:
+        """(M, 2, 2) sensor noise of a frame, and the index of its first impossible sighting or -1."""
         ...
 
     def predict(self, belief: Belief, event: Odometry) -> None: ...
@@ -51,10 +51,17 @@ _PROBLEMS = {
     layout.NOT_POSITIVE: "the covariance of the robot or of a landmark is not positive semi-definite",
     layout.INNOVATION_NOT_POSITIVE: "the innovation covariance is not positive definite",
     layout.NOT_FINITE: "a number of the state is no longer finite",
+    layout.BAD_SAMPLE: "an odometry sample is not finite or has a negative duration",
 }
 
 
+class BadSampleError(ValueError):
+    """An odometry sample that cannot be one; nothing has been changed."""
+
+
 def _check(status: int) -> None:
+    if status == layout.BAD_SAMPLE:
+        raise BadSampleError(_PROBLEMS[status])
     if status != layout.OK:
         raise NotPositiveError(_PROBLEMS[status])
 
@@ -63,7 +70,12 @@ class CompiledEngine:
     """Built-in models, reduced scope: everything in compiled kernels."""
 
     def __init__(
-        self, motion_model: BuiltInMotion, sensor: RangeBearing, lineariser: Lineariser, invariant: bool, sequential: bool
+        self,
+        motion_model: BuiltInMotion,
+        sensor: RangeBearing,
+        lineariser: Lineariser,
+        invariant: bool,
+        sequential: bool,
     ) -> None:
         self.setup = np.zeros(layout.SETUP_LENGTH)
         self.setup[layout.RULE] = lineariser.code  # type: ignore[attr-defined]
@@ -74,10 +86,9 @@ class CompiledEngine:
         sensor.fill(self.setup)
         self._default = _NO_COVARIANCE[motion_model.control_size]
 
-    def noises(self, z: np.ndarray) -> np.ndarray:
+    def noises(self, z: np.ndarray) -> tuple[np.ndarray, int]:
         out = np.empty((len(z), 2, 2))
-        sensing.fill_noises(self.setup, z, out)
-        return out
+        return out, sensing.fill_noises(self.setup, z, out)
 
     def predict(self, belief: Belief, event: Odometry) -> None:
         given = self._default if event.covariance is None else event.covariance
@@ -111,7 +122,9 @@ class CompiledEngine:
         belief.flush()
         squared, log_volume = np.empty((len(z), len(indices))), np.empty((len(z), len(indices)))
         _check(
-            sensing.innovations(self.setup, belief.mean, belief.packed, z, noises, indices, squared, log_volume)
+            sensing.innovations(
+                self.setup, belief.mean, belief.packed, z, noises, indices, squared, log_volume
+            )
         )
         return squared, log_volume
 
@@ -139,8 +152,8 @@ class GeneralEngine:
         self._setup[layout.BIAS_COUNT] = len(motion_model.biases)
         self._gate = outlier_distance(sensor)
 
-    def noises(self, z: np.ndarray) -> np.ndarray:
-        return self.sensor.covariance(z)
+    def noises(self, z: np.ndarray) -> tuple[np.ndarray, int]:
+        return self.sensor.covariance(z), sensing.first_bad_sighting(z)
 
     def _regress(self, belief: Belief, f: Function, read: np.ndarray, extra: np.ndarray) -> Regression:
         """Regress f on the state's entries `read` and further noise; the matrix keeps the columns that f reads.
@@ -153,7 +166,9 @@ class GeneralEngine:
         order = np.concatenate([read, rest])
         block = covariance[np.ix_(order, order)]
         if self.invariant:
-            landmarks = {p: belief.mean[i : i + 2] for p, i in enumerate(order) if _starts_landmark(i, belief.robot)}
+            landmarks = {
+                p: belief.mean[i : i + 2] for p, i in enumerate(order) if _starts_landmark(i, belief.robot)
+            }
             change = twist_matrix(len(order), belief.mean[:2], landmarks)
             block = change @ block @ change.T
         whole = np.zeros((len(order) + k, len(order) + k))
@@ -167,6 +182,10 @@ class GeneralEngine:
         return Regression(regression.mean, regression.covariance, matrix, regression.residual)
 
     def predict(self, belief: Belief, event: Odometry) -> None:
+        if not (np.isfinite(event.values).all() and np.isfinite(event.durations).all()) or (
+            event.durations.min(initial=0.0) < 0.0
+        ):
+            raise BadSampleError(_PROBLEMS[layout.BAD_SAMPLE])
         d = belief.robot
         head = d * (d + 1) // 2
         before = belief.mean[:d].copy(), belief.packed[:head].copy(), belief.phi.copy(), belief.pending
@@ -226,7 +245,9 @@ class GeneralEngine:
 
     def _regress_seen(self, belief: Belief, index: int) -> tuple[np.ndarray, Regression]:
         """The predicted (range, bearing) of the landmark that begins at `index`, and its regression."""
-        f = SeenLandmark(self.sensor, belief.mean[:3].copy(), belief.mean[index : index + 2].copy(), self.invariant)
+        f = SeenLandmark(
+            self.sensor, belief.mean[:3].copy(), belief.mean[index : index + 2].copy(), self.invariant
+        )
         regression = self._regress(belief, f, np.array([0, 1, 2, index, index + 1]), np.zeros((0, 0)))
         return f.expected + regression.mean, regression
 
@@ -241,7 +262,13 @@ class GeneralEngine:
                 matrix[:, 2] += (-dy, dx)
             belief.reserve(belief.n + 2)
             belief.n = update.append_landmark(
-                belief.mean, belief.packed, belief.n, f.landmark + regression.mean, matrix, noise, regression.residual
+                belief.mean,
+                belief.packed,
+                belief.n,
+                f.landmark + regression.mean,
+                matrix,
+                noise,
+                regression.residual,
             )
 
     def innovations(

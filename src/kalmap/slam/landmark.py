@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any
 
@@ -26,7 +27,7 @@ from kalmap.records import (
     Sightings,
 )
 from kalmap.slam.checkpoint import load_filter, save_filter
-from kalmap.slam.engines import CompiledEngine, Engine, GeneralEngine
+from kalmap.slam.engines import BadSampleError, CompiledEngine, Engine, GeneralEngine
 from kalmap.slam.predicted import PredictedMap
 
 
@@ -90,9 +91,15 @@ class LandmarkSlam:
         ):
             if value not in known:
                 raise ConfigError(f"{name}: {value!r} is none of {', '.join(known)}")
-        full, invariant, sequential = self.scope == "full", self.coordinates == "invariant", self.use == "sequential"
+        full, invariant, sequential = (
+            self.scope == "full",
+            self.coordinates == "invariant",
+            self.use == "sequential",
+        )
         if full and not getattr(self.lineariser, "samples", True):
-            raise ConfigError("scope: a Jacobian draws no points, so 'full' would be the same filter: take 'reduced'")
+            raise ConfigError(
+                "scope: a Jacobian draws no points, so 'full' would be the same filter: take 'reduced'"
+            )
         built_in = getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)
         if built_in and not full and hasattr(self.lineariser, "rule"):
             return CompiledEngine(self.motion, self.sensor, self.lineariser, invariant, sequential)  # type: ignore[arg-type]
@@ -103,8 +110,10 @@ class LandmarkSlam:
     def step(self, event: Event) -> None:
         """Take one event: odometry predicts, sightings and scans correct, a fix from outside is not used."""
         if event.time < self._time:
-            raise EventError(f"comes late: the filter is already at {self._time:.6g} s", time=event.time, field="time")
-        if not np.isfinite(event.time):
+            raise EventError(
+                f"comes late: the filter is already at {self._time:.6g} s", time=event.time, field="time"
+            )
+        if not math.isfinite(event.time):
             raise EventError("is not a finite number", time=event.time, field="time")
         try:
             if isinstance(event, Odometry):
@@ -114,7 +123,9 @@ class LandmarkSlam:
             elif isinstance(event, Scan):
                 self._observe(self._detect(event))
             elif not isinstance(event, Fix):
-                raise EventError(f"{type(event).__name__} is no event that this filter knows", time=event.time)
+                raise EventError(
+                    f"{type(event).__name__} is no event that this filter knows", time=event.time
+                )
         except NotPositiveError as problem:
             raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
         self._time = event.time
@@ -127,10 +138,10 @@ class LandmarkSlam:
                 time=event.time,
                 field="values",
             )
-        total = float(values.sum()) + float(event.durations.sum())
-        if not (np.isfinite(total) and event.durations.min(initial=0.0) >= 0.0):
-            raise EventError("an odometry sample is not finite or has a negative duration", time=event.time)
-        self._engine.predict(self._belief, event)
+        try:
+            self._engine.predict(self._belief, event)
+        except BadSampleError as problem:
+            raise EventError(str(problem), time=event.time, field="values") from problem
         self.step_number += len(values)
         self._moved = True
 
@@ -145,14 +156,16 @@ class LandmarkSlam:
         if not self._moved:
             raise EventError("a sighting before any odometry", time=frame.time, field="time")
         self.frame_nis, self.frame_used = float("nan"), 0
-        bad = _first_bad(z)
+        if z.ndim != 2 or z.shape[1] != 2:
+            raise EventError(f"expected (M, 2) sightings, got {z.shape}", time=frame.time, field="values")
+        noises, bad = self._engine.noises(z)
         if bad >= 0:
             raise EventError(
                 f"sighting {bad + 1} is {z[bad, 0]:g} m, {z[bad, 1]:g} rad: expected finite numbers and a range >= 0",
                 time=frame.time,
                 field="range" if not z[bad, 0] >= 0.0 else "bearing",
             )
-        noises = self._engine.noises(z) if frame.covariance is None else frame.covariance
+        noises = noises if frame.covariance is None else frame.covariance
         predicted = PredictedMap(self._engine, self._belief, self.sensor, z, noises)
         association, self._memory = self.association.associate(self._memory, frame, predicted)
         self.frame_association = association
@@ -250,7 +263,9 @@ class LandmarkSlam:
         belief.flush()
         robot, n, stamp = belief.robot, belief.n, (self._time, self.step_number)
         covariance = belief.robot_covariance()
-        kept = np.array([i for i, number in enumerate(self._ids) if number not in self._on_trial], dtype=np.int64)
+        kept = np.array(
+            [i for i, number in enumerate(self._ids) if number not in self._on_trial], dtype=np.int64
+        )
         landmarks = Landmarks(
             ids=np.array(self._ids, dtype=np.int64)[kept],
             positions=belief.mean[robot:n].reshape(-1, 2)[kept],
@@ -278,14 +293,6 @@ class LandmarkSlam:
             joint=joint,
             coordinates=self.coordinates,
         )
-
-
-def _first_bad(z: np.ndarray) -> int:
-    from kalmap.kernels.sensing import first_bad_sighting
-
-    if z.ndim != 2 or z.shape[1] != 2:
-        raise EventError(f"expected (M, 2) sightings, got {z.shape}", field="values")
-    return first_bad_sighting(z)
 
 
 def _pick(rows: np.ndarray, chosen: list[int]) -> tuple[np.ndarray]:

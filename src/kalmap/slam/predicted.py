@@ -14,7 +14,9 @@ class PredictedMap:
 
     __slots__ = ("_belief", "_engine", "_noises", "_sensor", "_z")
 
-    def __init__(self, engine: Engine, belief: Belief, sensor: SensorModel, z: np.ndarray, noises: np.ndarray) -> None:
+    def __init__(
+        self, engine: Engine, belief: Belief, sensor: SensorModel, z: np.ndarray, noises: np.ndarray
+    ) -> None:
         self._engine, self._belief, self._sensor = engine, belief, sensor
         self._z, self._noises = z, noises
 

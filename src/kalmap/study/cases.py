@@ -117,7 +117,8 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         ids_known=known,
         runtime_s=outcome.runtime,
         association=None if known or not len(outcome.truth_ids) else (outcome.truth_ids, outcome.labels),
-    )
+        dead_reckoning=outcome.dead_reckoning,
+    ) | {"frames": outcome.frames, "sightings": outcome.sightings, "skipped": outcome.skipped_total}
 
 
 def _curves(outcome: Outcome, log: Log) -> tuple[list[float], list[float], list[float]]:

@@ -95,7 +95,8 @@ def _note(plan: Plan) -> str:
     return (
         "Means over the runs of each run's RMS over its frames; NEES and NIS are means over frames, then "
         f"runs. n is the number of runs. {how} cdkf is the full O(n^3) filter in numpy, the others are "
-        "compiled: their times show the order of the algorithm and the language together."
+        "compiled: their times show the order of the algorithm and the language together. Times are taken "
+        "while every worker is busy; for times alone, run with one worker on an idle machine."
     )
 
 

@@ -75,7 +75,11 @@ def _into_map(reference: Reference, angle: float, translation: np.ndarray) -> Al
 
 
 def _errors(
-    outcome: Outcome, matched: trajectory.Matched, moved: trajectory.Matched, reference: Reference, angle: float
+    outcome: Outcome,
+    matched: trajectory.Matched,
+    moved: trajectory.Matched,
+    reference: Reference,
+    angle: float,
 ) -> Errors:
     """Estimate minus reference along the map's axes; the NEES where the reference needs no alignment."""
     covariances = outcome.trace.covariances[matched.rows]
@@ -160,9 +164,13 @@ def save_comparison(
         if result.outcome is None:
             continue
         inside = folder / result.method.replace(":", "-")
-        metrics[result.method] = save_run(inside, result.outcome, log, result.config, started=started, figures=False)
+        metrics[result.method] = save_run(
+            inside, result.outcome, log, result.config, started=started, figures=False
+        )
         views.append(run_view(result.outcome, log, result.method))
-        manifests[result.method] = manifest_of(result.outcome, log, result.config, " ".join(sys.argv), started)
+        manifests[result.method] = manifest_of(
+            result.outcome, log, result.config, " ".join(sys.argv), started
+        )
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "metrics.json", _json(metrics))
     if manifests:
@@ -173,7 +181,12 @@ def save_comparison(
         drawn = comparison_figures(views, metrics)
         save_figures(folder / "figures", drawn)
         page = render_comparison(
-            views, metrics, manifests=manifests, title=f"{log.name}: comparison", figures=drawn, warnings=warnings
+            views,
+            metrics,
+            manifests=manifests,
+            title=f"{log.name}: comparison",
+            figures=drawn,
+            warnings=warnings,
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics
