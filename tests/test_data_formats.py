@@ -350,7 +350,9 @@ def test_mrclam(tmp_path):
     frames = [event for event in log if isinstance(event, Sightings)]
     assert [frame.ids.tolist() for frame in frames] == [[6, 7], [-1]]
     assert frames[0].record == 5 and mrclam_robots(tmp_path) == [1]
-    assert log.start[:2].tolist() == [2.0, 3.0] and abs(log.start[2]) == pytest.approx(np.pi)
+    # commands are obeyed 0.2 s after their stamp, so the first one begins at 10.2
+    assert log.start[:2] == pytest.approx([2.2, 3.2])
+    assert log.start[2] == pytest.approx(3.1 + 0.6 * (2 * np.pi - 6.2) - 2 * np.pi)
     assert log.references[0].landmark_ids.tolist() == [6, 7]
     with pytest.raises(LogError, match="robots in this folder: 1"):
         open_log(tmp_path, robot=0)

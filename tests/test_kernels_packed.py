@@ -66,11 +66,14 @@ def test_pack_unpack_and_rows(n):
 
 @pytest.mark.parametrize("d", [1, 3, 5])
 def test_transform_leading(d):
-    """Oracle: dense T P T' with T = diag(phi, I), of which the cross-covariance is transformed."""
+    """Oracle: dense T P T' with T = diag(phi, I), of which the cross-covariance is transformed;
+    phi is used up."""
     rng, n = np.random.default_rng(d), 17
     full, phi = random_covariance(rng, n), rng.standard_normal((d, d))
     buffer = triangle(full)
-    packed.transform_leading(buffer, n, d, phi)
+    used = phi.copy()
+    packed.transform_leading(buffer, n, d, used)
+    np.testing.assert_array_equal(used, np.eye(d))
     expected = full.copy()
     expected[d:, :d] = full[d:, :d] @ phi.T
     np.testing.assert_allclose(buffer, triangle(expected), atol=1e-13)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kalmap.association import Likelihood
-from kalmap.models import VelocitySteering
 from kalmap.records import (
     ConfigError,
     EstimationError,
@@ -176,7 +175,7 @@ def test_dead_reckoning_is_odometry_alone():
     np.testing.assert_array_equal(times, [e.time for e in EVENTS[::2]])
     np.testing.assert_allclose(poses[:, :2], np.array(expected)[:, :2], atol=1e-9)
     np.testing.assert_allclose(np.exp(1j * poses[:, 2]), np.exp(1j * np.array(expected)[:, 2]), atol=1e-9)
-    assert run(LandmarkSlam(), log_of(EVENTS), reckon=False).error is None
+    assert run(LandmarkSlam(), log_of(EVENTS), reckon=False).dead_reckoning is None
 
 
 def test_fixes_are_passed_over_and_progress_is_told():
@@ -188,15 +187,24 @@ def test_fixes_are_passed_over_and_progress_is_told():
     assert told and told == sorted(told)
 
 
-def test_user_models_run_without_dead_reckoning_of_their_own():
-    """Oracle: Outcome: where odometry alone is not known, the filter's pose stands in;
-    saving is refused by name."""
+class OwnMotion:
+    """A user's motion model: (metres ahead, radians turned)."""
 
-    class Mine(VelocitySteering, frozen=True):
-        compiled = False
+    compiled, control_size, biases = False, 2, ()
 
-    slam = LandmarkSlam(Mine(), XYSensor(np.eye(2)))
+    def increment(self, control, biases, dt):
+        return np.stack([control[..., 0], 0.0 * control[..., 0], control[..., 1]], axis=-1)
+
+    def control_covariance(self, control, dt):
+        return np.diag([0.01, 0.001])
+
+
+def test_user_models_run_and_are_not_saved(tmp_path):
+    """Oracle: Outcome: odometry alone is known for built-in motion only; saving is refused by name."""
+    slam = LandmarkSlam(OwnMotion(), XYSensor(np.eye(2)))
     outcome = run(slam, log_of(EVENTS[:1]))
-    assert outcome.error is None and outcome.dead_reckoning[1].shape == (1, 3)
+    assert outcome.error is None and outcome.dead_reckoning is None
+    assert len(outcome.trace.times) == 1
     with pytest.raises(ConfigError, match="not built in"):
-        slam.save("/nonexistent/never-written")
+        slam.save(tmp_path / "never-written")
+    assert list(tmp_path.iterdir()) == []

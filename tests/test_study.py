@@ -196,7 +196,7 @@ def test_both_means_over_runs_and_failures_are_counted_not_averaged(fabricated):
     assert a.mean["position_rmse_m"] == pytest.approx(3.5)
     assert a.rms["position_rmse_m"] == pytest.approx(math.sqrt(12.5))
     assert a.error_of_mean["position_rmse_m"] == pytest.approx(0.5)
-    assert fabricated.failures() == ["w, a, seed 3: not positive definite, step 7"]
+    assert fabricated.failures() == ["w, seed 3, a: not positive definite, step 7"]
     assert fabricated.summary("w", "b").error_of_mean["position_rmse_m"] == pytest.approx(7 / 3)
 
 

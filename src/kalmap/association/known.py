@@ -26,9 +26,9 @@ class KnownIds(msgspec.Struct, frozen=True, tag=True):
             raise EventError(
                 "the log gives no identities: choose another association", time=sightings.time, field="ids"
             )
-        matched, fresh = [], predicted.count
+        matched, fresh, added = [], predicted.count, dict[int, int]()
         for number in sightings.ids.tolist():
-            index = memory.get(number)
+            index = memory.get(number, added.get(number))
             if index is None:
                 if number < UNIDENTIFIED:
                     raise EventError(
@@ -40,7 +40,7 @@ class KnownIds(msgspec.Struct, frozen=True, tag=True):
                     index = SPURIOUS
                 else:
                     index = NEW
-                    memory[number] = fresh
+                    added[number] = fresh
                     fresh += 1
             matched.append(index)
-        return Association(np.array(matched, dtype=np.int64)), memory
+        return Association(np.array(matched, dtype=np.int64)), {**memory, **added} if added else memory

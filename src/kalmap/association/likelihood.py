@@ -43,6 +43,7 @@ class Likelihood(msgspec.Struct, frozen=True, tag=True):
             near = squared.min(axis=1) < chi_square_2(self.new_gate)
             matched[near] = SPURIOUS
             _assign(squared, squared + log_volume, chi_square_2(self.gate), matched)
+        memory = [None if trial is None else list(trial) for trial in memory]
         confirmed, retired = self._review(memory, matched, predicted)
         return Association(matched, self.confirm > 1, confirmed, retired), memory
 

@@ -18,12 +18,15 @@ def semidefinite_root(cov: np.ndarray) -> np.ndarray:
     """
     n = len(cov)
     try:
-        return np.linalg.cholesky(cov)
+        root = np.linalg.cholesky(cov)
+        if np.isfinite(root).all():  # numpy hands a NaN through
+            return root
     except np.linalg.LinAlgError:
-        root = np.zeros((n, n))
-        if not square_root(np.ascontiguousarray(cov, dtype=float), n, root):
-            raise NotPositiveError(f"a {n} x {n} covariance is not positive semi-definite") from None
-        return root
+        pass
+    root = np.zeros((n, n))
+    if not square_root(np.ascontiguousarray(cov, dtype=float), n, root):
+        raise NotPositiveError(f"a {n} x {n} covariance is not positive semi-definite")
+    return root
 
 
 def solve_right(right: np.ndarray, root: np.ndarray) -> np.ndarray:
@@ -36,7 +39,7 @@ def solve_right(right: np.ndarray, root: np.ndarray) -> np.ndarray:
     live = np.diagonal(root) > 0.0
     solution = np.zeros_like(right)
     if live.all():
-        return solve_triangular(root, right.T, lower=True, trans="T").T
+        return solve_triangular(root, right.T, lower=True, trans="T", check_finite=False).T
     part = root[np.ix_(live, live)]
-    solution[:, live] = solve_triangular(part, right[:, live].T, lower=True, trans="T").T
+    solution[:, live] = solve_triangular(part, right[:, live].T, lower=True, trans="T", check_finite=False).T
     return solution

@@ -322,6 +322,8 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
             return BAD_SAMPLE
         if len(covariances) > 0:
             q[:, :] = covariances[t]
+            if jacobian and not square_root(q, c, noise_root):
+                return NOT_POSITIVE
         else:
             control_covariance(setup, control, dt, q)
         step = sample_increment(setup, control, (0.0, 0.0, 0.0), biases, nothing, dt)

@@ -24,6 +24,7 @@ from kalmap.kernels.layout import (
 )
 
 ZERO_PIVOT = 1e-13  # a pivot below this share of its diagonal is a zero direction of a semi-definite matrix
+ZERO_COLUMN = 1e-4  # what may stand beside a zero pivot, as a correlation: |entry|^2 <= pivot times diagonal
 NEGATIVE_PIVOT = -1e-9  # below this share the matrix is not a covariance
 
 
@@ -61,6 +62,13 @@ def square_root(cov, n, root):
         if pivot <= ZERO_PIVOT * scale:
             for i in range(j, n):
                 root[i, j] = 0.0
+            for i in range(j + 1, n):  # a semi-definite matrix has nothing beside a zero pivot
+                total = cov[i, j]
+                for k in range(j):
+                    total -= root[i, k] * root[j, k]
+                other = abs(cov[i, i])
+                if not (abs(total) <= ZERO_COLUMN * math.sqrt(scale * other) + 1e-12 * other):
+                    return False
             continue
         root[j, j] = math.sqrt(pivot)
         for i in range(j + 1, n):
@@ -110,7 +118,7 @@ def wrap(angle):
     if -math.pi <= angle < math.pi:
         return angle
     wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    return wrapped if wrapped < math.pi else -math.pi
+    return -math.pi if wrapped >= math.pi else wrapped  # NaN stays NaN
 
 
 @njit(cache=True, nogil=True)

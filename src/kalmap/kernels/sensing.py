@@ -51,6 +51,17 @@ def fill_noises(setup, z, out):
 
 
 @njit(cache=True, nogil=True)
+def first_bad_noise(noises):
+    """Index of the first (2, 2) that is not finite or not positive semi-definite; -1 if there is none."""
+    for m in range(len(noises)):
+        a, b, c, d = noises[m, 0, 0], noises[m, 0, 1], noises[m, 1, 0], noises[m, 1, 1]
+        finite = math.isfinite(a) and math.isfinite(b) and math.isfinite(c) and math.isfinite(d)
+        if not (finite and a >= 0.0 and d >= 0.0 and a * d - b * c >= -1e-9 * a * d):
+            return m
+    return -1
+
+
+@njit(cache=True, nogil=True)
 def predict_sighting(setup, pose, x, y):
     """(range, bearing) of the point (x, y) from the mounted sensor."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])

@@ -22,7 +22,7 @@ from kalmap.kernels.layout import (
 )
 from kalmap.kernels.packed import add_outer, copy_row
 from kalmap.kernels.regression import congruence, left_jacobian, wrap
-from kalmap.kernels.sensing import regress_landmark, regress_sighting, sighting_block
+from kalmap.kernels.sensing import first_bad_noise, regress_landmark, regress_sighting, sighting_block
 
 
 @njit(cache=True, nogil=True)
@@ -233,6 +233,8 @@ def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
 def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
     """Regress and apply a frame's matched sightings, jointly or one after the other. Returns (status, NIS)."""
     count = len(indices)
+    if first_bad_noise(noises) >= 0:  # before anything is changed
+        return INNOVATION_NOT_POSITIVE, 0.0
     matrices, residuals = np.empty((count, 2, 5)), np.empty((count, 2, 2))
     innovation = np.empty(2 * count)
     group = 1 if setup[SEQUENTIAL] != 0.0 else count
@@ -282,6 +284,8 @@ def append_landmark(mean, packed, n, landmark, matrix, noise, residual):
 @njit(cache=True, nogil=True)
 def append_frame(setup, mean, packed, n, z, noises):
     """Found a landmark for every sighting of z. Returns (status, new n)."""
+    if first_bad_noise(noises) >= 0:
+        return INNOVATION_NOT_POSITIVE, n
     landmark, matrix, residual = np.empty(2), np.empty((2, 5)), np.empty((2, 2))
     cov = np.empty((3, 3))
     for i in range(3):

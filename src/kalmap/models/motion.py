@@ -251,6 +251,9 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
         "turn_rate_offset": float(np.deg2rad(config.prior_turn_rate_offset_deg)),
         "turn_rate_scale": config.prior_turn_rate_scale,
     }
+    for name in config.biases:
+        if name not in sigmas:
+            raise ConfigError(f"motion.biases: {name!r} is none of {', '.join(sigmas)}")
     biases = tuple(Bias(name, sigmas[name]) for name in config.biases)
     speed: dict[str, Any] = {
         "sigma_speed": config.sigma_speed,
@@ -275,6 +278,10 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
             sigma_turn_rate=float(np.deg2rad(config.sigma_turn_rate_deg)),
             ratio_turn_rate=config.sigma_turn_rate_ratio,
             **speed,
+        )
+    if config.model != "increments":
+        raise ConfigError(
+            f"motion.model: {config.model!r} is none of velocity-steering, ackermann, unicycle, increments"
         )
     return Increments(
         biases=biases,

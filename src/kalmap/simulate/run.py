@@ -72,6 +72,7 @@ def _noisy_sightings(
     )
     sigmas = np.array([world.sigma_range, np.radians(world.sigma_bearing_deg)])
     values = exact + sigmas * rng.standard_normal(exact.shape)
+    values[:, 0] = np.abs(values[:, 0])  # a feature at the sensor's feet: no scanner gives a negative range
     values[:, 1] = wrap(values[:, 1])
     feature = feature.astype(np.int64)
     edges = np.searchsorted(frame, np.arange(len(looks) + 1))

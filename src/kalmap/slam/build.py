@@ -6,7 +6,7 @@ from kalmap.association import Associator, KnownIds, Likelihood
 from kalmap.models.motion import motion_from_config
 from kalmap.models.sensor import sensor_from_config
 from kalmap.perception import Detector
-from kalmap.records import AssociationConfig, Log, RunConfig
+from kalmap.records import AssociationConfig, ConfigError, Log, RunConfig
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.landmark import LandmarkSlam
 
@@ -15,6 +15,8 @@ def associator_from_config(config: AssociationConfig) -> Associator:
     """The associator that a configuration describes."""
     if config.method == "known":
         return KnownIds()
+    if config.method != "likelihood":
+        raise ConfigError(f"association.method: {config.method!r} is none of known, likelihood")
     return Likelihood(
         gate=config.gate,
         new_gate=config.new_gate,

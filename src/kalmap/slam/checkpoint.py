@@ -52,7 +52,7 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
     belief, n = slam._belief, slam._belief.n
     memory = slam._memory
     try:
-        header = msgspec.json.encode(
+        header = msgspec.msgpack.encode(
             _State(
                 motion=slam.motion,  # type: ignore[arg-type]
                 sensor=slam.sensor,  # type: ignore[arg-type]
@@ -73,7 +73,7 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
                 robot=belief.robot,
             )
         )
-        msgspec.json.decode(header, type=_State)
+        msgspec.msgpack.decode(header, type=_State)
     except (TypeError, msgspec.ValidationError) as problem:
         raise ConfigError(
             f"this filter holds a part that is not built in and cannot be saved: {problem}"
@@ -94,17 +94,48 @@ def load_filter(
     """Read what `save_filter` wrote."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            state = msgspec.json.decode(stored["header"].tobytes(), type=_State)
-            mean, packed, phi = stored["mean"], stored["packed"], stored["phi"]
+            state = msgspec.msgpack.decode(stored["header"].tobytes(), type=_State)
+            arrays = stored["mean"], stored["packed"], stored["phi"]
+        return _rebuild(kind, state, *arrays, detector)
     except FileNotFoundError:
         raise LogError("no such file", file=path) from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, msgspec.DecodeError) as problem:
+    except (*_DAMAGE, ConfigError) as problem:
         raise LogError(f"is no saved filter of kalmap, or is damaged ({problem})", file=path) from problem
+
+
+# what numpy and zipfile raise on files that are something else or have been damaged, beside their own errors
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    msgspec.MsgspecError,
+)
+
+
+def _rebuild(
+    kind: type[LandmarkSlam],
+    state: _State,
+    mean: np.ndarray,
+    packed: np.ndarray,
+    phi: np.ndarray,
+    detector: Detector | None,
+) -> LandmarkSlam:
+    """The filter, if its parts fit together."""
     if state.format != FORMAT:
-        raise LogError(f"has format {state.format!r}, expected {FORMAT!r}", file=path, field="format")
-    n = len(mean)
-    if len(packed) != n * (n + 1) // 2 or n != state.robot + 2 * len(state.ids):
-        raise LogError("its arrays do not fit together", file=path)
+        raise ValueError(f"format {state.format!r}, expected {FORMAT!r}")
+    n, robot, count = len(mean), state.robot, len(state.ids)
+    shapes = mean.shape == (n,) and packed.shape == (n * (n + 1) // 2,) and phi.shape == (robot, robot)
+    if (
+        not shapes
+        or robot != 3 + len(state.motion.biases)
+        or n != robot + 2 * count
+        or len(state.counts) != count
+    ):
+        raise ValueError("its arrays do not fit together")
     slam = kind(
         state.motion,
         state.sensor,
@@ -119,7 +150,10 @@ def load_filter(
     belief.reserve(n)
     belief.mean[:n], belief.packed[: len(packed)], belief.n = mean, packed, n
     belief.phi[:], belief.pending = phi, state.pending
-    slam._memory = dict(state.memory) if isinstance(slam._memory, dict) else state.memory
+    slam._memory = dict(state.memory) if isinstance(slam._memory, dict) else list(state.memory)
+    numbers = slam._memory.values() if isinstance(slam._memory, dict) else range(len(slam._memory))
+    if sorted(numbers) != list(range(count)):
+        raise ValueError("the associator's memory does not fit the map")
     slam._ids, slam._counts, slam._founded = state.ids, state.counts, state.founded
     slam._on_trial = set(state.on_trial)
     slam._time, slam._moved, slam.step_number = float.fromhex(state.time), state.moved, state.step_number

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from kalmap.gaussian import Belief, Function, Lineariser, Regression
-from kalmap.gaussian.roots import NotPositiveError
+from kalmap.gaussian.roots import NotPositiveError, semidefinite_root
 from kalmap.geometry.angles import wrap
 from kalmap.kernels import layout, motion, sensing, update
 from kalmap.models.charts import NewLandmark, NextPose, SeenLandmark, twist_matrix
@@ -64,6 +64,11 @@ def _check(status: int) -> None:
         raise BadSampleError(_PROBLEMS[status])
     if status != layout.OK:
         raise NotPositiveError(_PROBLEMS[status])
+
+
+def _check_noises(noises: np.ndarray) -> None:
+    if sensing.first_bad_noise(noises) >= 0:
+        _check(layout.INNOVATION_NOT_POSITIVE)
 
 
 class CompiledEngine:
@@ -162,7 +167,9 @@ class GeneralEngine:
         """
         r, k = len(read), len(extra)
         rest = np.setdiff1d(np.arange(belief.n), read) if self.full else np.zeros(0, dtype=int)
-        covariance = belief.covariance() if self.full or r > belief.robot else belief.robot_covariance()
+        covariance = (
+            belief.covariance() if self.full or read[-1] >= belief.robot else belief.robot_covariance()
+        )
         order = np.concatenate([read, rest])
         block = covariance[np.ix_(order, order)]
         if self.invariant:
@@ -191,8 +198,11 @@ class GeneralEngine:
         before = belief.mean[:d].copy(), belief.packed[:head].copy(), belief.phi.copy(), belief.pending
         if self.full:  # the whole state's root needs a current cross-covariance at every sample
             belief.flush()
-            before = (*before[:2], belief.phi.copy(), False)
+            head = belief.n * (belief.n + 1) // 2
+            before = before[0], belief.packed[:head].copy(), belief.phi.copy(), False
         try:
+            for q in () if event.covariance is None else event.covariance:
+                semidefinite_root(q)
             for t in range(len(event.durations)):
                 self._predict_sample(belief, event, t)
         except NotPositiveError:
@@ -216,12 +226,15 @@ class GeneralEngine:
         step[:3] = matrix[:, :d]
         block = step @ belief.robot_covariance() @ step.T
         block[:3, :3] += matrix[:, d:] @ q @ matrix[:, d:].T + residual
+        if not (np.isfinite(pose).all() and np.isfinite(block).all()):
+            raise NotPositiveError(_PROBLEMS[layout.NOT_FINITE])
         lower = np.tril_indices(d)
         belief.mean[:3], belief.packed[: len(lower[0])] = pose, block[lower]
         belief.phi[:], belief.pending = step @ belief.phi, True
 
     def update(self, belief: Belief, z: np.ndarray, indices: np.ndarray, noises: np.ndarray) -> float:
         belief.flush()
+        _check_noises(noises)
         nis, group = 0.0, 1 if self.sequential else len(indices)
         left, right = belief.work(2 * group)
         for first in range(0, len(indices), group):
@@ -253,6 +266,15 @@ class GeneralEngine:
 
     def append(self, belief: Belief, z: np.ndarray, noises: np.ndarray) -> None:
         belief.flush()
+        _check_noises(noises)
+        n = belief.n
+        try:
+            self._append(belief, z, noises)
+        except NotPositiveError:
+            belief.n = n
+            raise
+
+    def _append(self, belief: Belief, z: np.ndarray, noises: np.ndarray) -> None:
         for sighting, noise in zip(z, noises, strict=True):
             f = NewLandmark(self.sensor, belief.mean[:3].copy(), sighting, self.invariant)
             regression = self._regress(belief, f, np.arange(3), noise)
@@ -260,6 +282,8 @@ class GeneralEngine:
             if self.invariant:
                 dx, dy = f.landmark - belief.mean[:2]
                 matrix[:, 2] += (-dy, dx)
+            if not (np.isfinite(f.landmark).all() and np.isfinite(matrix).all()):
+                raise NotPositiveError(_PROBLEMS[layout.NOT_FINITE])
             belief.reserve(belief.n + 2)
             belief.n = update.append_landmark(
                 belief.mean,
@@ -282,7 +306,7 @@ class GeneralEngine:
             nu = z - expected
             nu[:, 1] = wrap(nu[:, 1])
             determinant = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] ** 2
-            if not (determinant > 0.0).all():
+            if not ((determinant > 0.0) & (s[:, 0, 0] > 0.0)).all():
                 raise NotPositiveError(_PROBLEMS[layout.INNOVATION_NOT_POSITIVE])
             squared[:, c] = np.einsum("mi,mi->m", nu, np.linalg.solve(s, nu[:, :, None])[:, :, 0])
             log_volume[:, c] = np.log(determinant)

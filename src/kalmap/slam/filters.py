@@ -18,6 +18,8 @@ FILTERS: dict[str, tuple[BuiltIn, str]] = {
 
 def resolve_filter(config: FilterConfig) -> tuple[BuiltIn, str]:
     """(lineariser, scope) of a named filter. Raises ConfigError where name and scope contradict each other."""
+    if config.name not in FILTERS:
+        raise ConfigError(f"filter.name: {config.name!r} is none of {', '.join(FILTERS)}")
     lineariser, scope = FILTERS[config.name]
     if config.scope is None or config.scope == scope:
         return lineariser, scope

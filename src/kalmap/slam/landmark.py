@@ -79,6 +79,7 @@ class LandmarkSlam:
         self._time = float("-inf")
         self._moved = False
         self.step_number = 0
+        self._changes = 0  # events taken, so that a snapshot knows whether it is still current
         self.frame_nis, self.frame_used = float("nan"), 0
         self.frame_association = Association(np.zeros(0, dtype=np.int64))
         self.frame_labels = np.zeros(0, dtype=np.int64)
@@ -129,6 +130,7 @@ class LandmarkSlam:
         except NotPositiveError as problem:
             raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
         self._time = event.time
+        self._changes += 1
 
     def _predict(self, event: Odometry) -> None:
         values = event.values
@@ -138,6 +140,8 @@ class LandmarkSlam:
                 time=event.time,
                 field="values",
             )
+        if event.covariance is not None:
+            _check_shape(event.covariance, (*values.shape, values.shape[1]), event.time)
         try:
             self._engine.predict(self._belief, event)
         except BadSampleError as problem:
@@ -163,13 +167,20 @@ class LandmarkSlam:
             raise EventError(
                 f"sighting {bad + 1} is {z[bad, 0]:g} m, {z[bad, 1]:g} rad: expected finite numbers and a range >= 0",
                 time=frame.time,
-                field="range" if not z[bad, 0] >= 0.0 else "bearing",
+                field="bearing" if np.isfinite(z[bad, 0]) and z[bad, 0] >= 0.0 else "range",
             )
+        if frame.ids is not None and len(frame.ids) != len(z):
+            raise EventError(
+                f"{len(frame.ids)} identities for {len(z)} sightings", time=frame.time, field="ids"
+            )
+        if frame.covariance is not None:
+            _check_shape(frame.covariance, (len(z), 2, 2), frame.time)
         noises = noises if frame.covariance is None else frame.covariance
         predicted = PredictedMap(self._engine, self._belief, self.sensor, z, noises)
-        association, self._memory = self.association.associate(self._memory, frame, predicted)
+        association, memory = self.association.associate(self._memory, frame, predicted)
         self.frame_association = association
         self._apply(frame, association, z, noises)
+        self._memory = memory
         if not isinstance(self.association, KnownIds):
             self._label(association.matched)
         for index in association.confirmed:
@@ -261,7 +272,7 @@ class LandmarkSlam:
         """
         belief = self._belief
         belief.flush()
-        robot, n, stamp = belief.robot, belief.n, (self._time, self.step_number)
+        robot, n, stamp = belief.robot, belief.n, self._changes
         covariance = belief.robot_covariance()
         kept = np.array(
             [i for i, number in enumerate(self._ids) if number not in self._on_trial], dtype=np.int64
@@ -276,7 +287,7 @@ class LandmarkSlam:
         entries = np.concatenate([np.arange(robot), (robot + 2 * kept[:, None] + np.arange(2)).ravel()])
 
         def joint() -> tuple[np.ndarray, np.ndarray]:
-            if stamp != (self._time, self.step_number):
+            if stamp != self._changes:
                 raise EstimationError("the filter has moved on: ask the joint covariance of a fresh estimate")
             return belief.mean[entries], belief.covariance()[np.ix_(entries, entries)]
 
@@ -293,6 +304,11 @@ class LandmarkSlam:
             joint=joint,
             coordinates=self.coordinates,
         )
+
+
+def _check_shape(covariance: np.ndarray, shape: tuple[int, ...], time: float) -> None:
+    if covariance.shape != shape:
+        raise EventError(f"expected shape {shape}, got {covariance.shape}", time=time, field="covariance")
 
 
 def _pick(rows: np.ndarray, chosen: list[int]) -> tuple[np.ndarray]:

@@ -72,7 +72,7 @@ def better(result: StudyResult, world: str, first: str, second: str, metric: str
     5 %; undecided if it is below zero but not significant; else it fails.
     """
     name = f"{world}: {first} below {second} in {_METRIC_NAMES[metric]}"
-    asked = "mean paired difference < 0"
+    asked = "mean difference < 0"
     test = result.paired(world, first, second, metric)
     if test is None:
         return Claim(name, asked, "-", "not measured")
@@ -112,11 +112,12 @@ def claims_markdown(claims: list[Claim]) -> str:
 def claims_table(claims: list[Claim]) -> StudyTable:
     """The same for the report page, the verdict before each claim."""
     rows = [
-        StudyRow(f"{c.verdict.upper()}: {c.claim}; asked {c.asked}; got {c.got}", (c.p_value, c.runs or None))
+        StudyRow(f"{c.verdict.upper()}: {c.claim} ({c.asked})", (c.value, c.p_value, c.runs or None))
         for c in claims
     ]
     note = (
+        "got: the measurement, for a comparison the mean paired difference (its interval is in claims.json). "
         "p: two-sided Wilcoxon signed-rank test on the same seeds. A comparison holds if the mean paired "
         f"difference has the right sign and p < {SIGNIFICANT}; right sign without that is undecided."
     )
-    return StudyTable("Claims", ("p", "runs"), tuple(rows), note)
+    return StudyTable("Claims", ("got", "p", "runs"), tuple(rows), note)

@@ -89,9 +89,14 @@ class StudyResult(msgspec.Struct, frozen=True):
         )
 
     def failures(self) -> list[str]:
-        """A line for every run that the filter gave up."""
+        """What made filters give up: a line for every world, seed and reason, with the methods it met."""
+        methods: dict[tuple[str, int, str], list[str]] = {}
+        for r in self.records:
+            if r.error is not None:
+                methods.setdefault((r.world, r.seed, r.error), []).append(r.method)
         return [
-            f"{r.world}, {r.method}, seed {r.seed}: {r.error}" for r in self.records if r.error is not None
+            f"{world}, seed {seed}, {', '.join(names) if len(names) < 4 else f'{len(names)} methods'}: {why}"
+            for (world, seed, why), names in methods.items()
         ]
 
 
