@@ -213,7 +213,9 @@ def test_compiled_regression_equals_its_numpy_twin(name, rank):
     root, matrix, residual, offset = np.zeros((4, 4)), np.zeros((2, 4)), np.zeros((2, 2)), np.zeros(2)
     assert square_root(cov, 4, root)
     step = weights(setup, 4)[0] * root.T
-    regress(setup, f(mean + step) - f(mean), f(mean - step) - f(mean), 4, 2, root, offset, matrix, residual)
+    regress(
+        setup, f(mean + step) - f(mean), f(mean - step) - f(mean), 4, 2, root, offset, matrix, residual, 0
+    )
     twin = SAMPLED[name](f, mean, cov)
     np.testing.assert_allclose(f(mean) + offset, twin.mean, atol=1e-11)
     np.testing.assert_allclose(residual, twin.residual, atol=1e-11)

@@ -219,6 +219,17 @@ def _next_difference(setup, pose, heading, step0, deviation, control, noise, bia
 
 
 @njit(cache=True, nogil=True)
+def _write_turn(heading, step, matrix):
+    """The pose's own columns: the next pose turns about the present one."""
+    cosine, sine = heading
+    for r in range(3):
+        for k in range(3):
+            matrix[r, k] = 1.0 if r == k else 0.0
+    matrix[0, 2] = -(sine * step[0] + cosine * step[1])
+    matrix[1, 2] = cosine * step[0] - sine * step[1]
+
+
+@njit(cache=True, nogil=True)
 def _step_by_points(
     setup,
     pose,
@@ -236,11 +247,18 @@ def _step_by_points(
     minus,
     deviation,
 ):
-    """Regress the next pose on (pose, biases, control) by sigma points along the columns of `root`."""
+    """Regress the next pose on (pose, biases, control) by sigma points along the columns of `root`.
+
+    In invariant coordinates and without biases the pose's own points go through exactly linearly, whatever the
+    control (`_next_difference` says how), and their part of the matrix is written down instead of sampled.
+    """
     d = 3 + len(biases)
     n = d + c
     s = weights(setup, n)[0]
-    for i in range(n):
+    linear = 3 if setup[INVARIANT] != 0.0 and d == 3 else 0
+    if linear:
+        _write_turn(heading, step0, matrix)
+    for i in range(linear, n):
         for sign in range(2):
             spread = s if sign == 0 else -s
             for k in range(n):
@@ -254,7 +272,7 @@ def _step_by_points(
                 plus[i, 0], plus[i, 1], plus[i, 2] = dx, dy, angle
             else:
                 minus[i, 0], minus[i, 1], minus[i, 2] = dx, dy, angle
-    regress(setup, plus, minus, n, 3, root, offset, matrix, residual)
+    regress(setup, plus, minus, n, 3, root, offset, matrix, residual, linear)
 
 
 @njit(cache=True, nogil=True)
@@ -271,9 +289,7 @@ def _step_by_jacobian(setup, heading, step0, control, biases, c, dt, matrix, scr
     bias_jacobian(setup, raw, c, by_bias)
     cosine, sine = heading
     matrix[:, :] = 0.0
-    matrix[0, 0] = matrix[1, 1] = matrix[2, 2] = 1.0
-    matrix[0, 2] = -(sine * step0[0] + cosine * step0[1])
-    matrix[1, 2] = cosine * step0[0] - sine * step0[1]
+    _write_turn(heading, step0, matrix)
     for k in range(c):
         scale = turn_scale if k == c - 1 else speed_scale
         gx = cosine * jac[0, k] - sine * jac[1, k]
@@ -301,7 +317,7 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
     d = 3 + nb
     c = controls.shape[1]
     n = d + c
-    jacobian = int(setup[RULE]) == JACOBIAN
+    jacobian, invariant = int(setup[RULE]) == JACOBIAN, setup[INVARIANT] != 0.0
     pose, biases = (mean[0], mean[1], mean[2]), mean[3:d].copy()
     block, total = np.empty((d, d)), phi.copy()
     unpack(packed, d, block)
@@ -331,7 +347,9 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
         if jacobian:
             _step_by_jacobian(setup, heading, step, control, biases, c, dt, matrix, scratch)
         else:
-            if not square_root(block, d, state_root) or not square_root(q, c, noise_root):
+            if (d > 3 or not invariant) and not square_root(block, d, state_root):
+                return NOT_POSITIVE
+            if not square_root(q, c, noise_root):
                 return NOT_POSITIVE
             _step_by_points(
                 setup,

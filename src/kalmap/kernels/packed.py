@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 _FAST = {"contract", "reassoc", "nsz"}  # what vectorisation needs, NaN and inf kept honest
+_SMALL = 176  # below this size setting up a strip costs more than it saves
 _STRIP = 512  # columns at a time, so that four rows of the strip stay in the first-level cache
 
 
@@ -30,12 +31,28 @@ def _rank4_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
+def _rank4_on_row(packed, row, left, right, k):
+    """Add left[k:k+4, row]' right[k:k+4, :row+1] to one row, without slices: what small matrices spend most on."""
+    a0, a1, a2, a3 = left[k, row], left[k + 1, row], left[k + 2, row], left[k + 3, row]
+    start = row * (row + 1) // 2
+    for j in range(row + 1):
+        packed[start + j] += (
+            a0 * right[k, j] + a1 * right[k + 1, j] + a2 * right[k + 2, j] + a3 * right[k + 3, j]
+        )
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def add_outer(packed, n, left, right, rank):
     """packed += left' right on the lower triangle of the leading n x n part, in one pass over it.
 
     left, right: (>= rank, >= n); `rank` is a multiple of 4 (pad with rows of zeros). The caller sees
     to it that left' right is symmetric. O(rank n^2 / 2), no allocation.
     """
+    if n < _SMALL:
+        for row in range(n):
+            for k in range(0, rank, 4):
+                _rank4_on_row(packed, row, left, right, k)
+        return
     whole = n - n % 4
     for i in range(0, whole, 4):
         o0 = i * (i + 1) // 2

@@ -80,16 +80,18 @@ def square_root(cov, n, root):
 
 
 @njit(cache=True, nogil=True)
-def regress(setup, plus, minus, n, m, root, mean, matrix, residual):
+def regress(setup, plus, minus, n, m, root, mean, matrix, residual, linear):
     """Mean offset (m,), regression matrix (m, n) and residual covariance Lambda (m, m) from the points.
 
     plus, minus: (n, m) values at the points +-i, as differences from the value at the mean; overwritten.
+    linear: so many leading inputs are known to act linearly and independently of the rest (their root is a block of
+    its own): their points are not read and their columns of `matrix` are the caller's.
     """
     s, w_mean, w_zero, w_even = weights(setup, n)
     half = 0.5 / s
     for r in range(m):
         total = 0.0
-        for i in range(n):
+        for i in range(linear, n):
             odd = (plus[i, r] - minus[i, r]) * half
             even = 0.5 * (plus[i, r] + minus[i, r])
             plus[i, r], minus[i, r] = odd, even
@@ -98,12 +100,12 @@ def regress(setup, plus, minus, n, m, root, mean, matrix, residual):
     centred = 0.0 if int(setup[RULE]) == CENTRAL_DIFFERENCE else 1.0
     for r in range(m):
         for c in range(r + 1):
-            total = w_zero * mean[r] * mean[c]
-            for i in range(n):
+            total = (w_zero + linear * centred * w_even) * mean[r] * mean[c]
+            for i in range(linear, n):
                 total += w_even * (minus[i, r] - centred * mean[r]) * (minus[i, c] - centred * mean[c])
             residual[r, c] = total
             residual[c, r] = total
-    for j in range(n - 1, -1, -1):  # matrix root = D, solved from the last column back
+    for j in range(n - 1, linear - 1, -1):  # matrix root = D, solved from the last column back
         pivot = root[j, j]
         for r in range(m):
             total = plus[j, r]

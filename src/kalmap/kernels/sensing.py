@@ -146,7 +146,7 @@ def regress_sighting(setup, pose, x, y, cov, predicted, matrix, residual):
             r, b = _sighting_at(setup, pose, x, y, deviation)
             points[sign, i, 0], points[sign, i, 1] = r - distance, wrap(b - bearing)
     offset = np.empty(2)
-    regress(setup, points[0], points[1], 5, 2, root, offset, matrix, residual)
+    regress(setup, points[0], points[1], 5, 2, root, offset, matrix, residual, 0)
     predicted[0] += offset[0]
     predicted[1] = wrap(bearing + offset[1])
     if invariant:
@@ -201,7 +201,7 @@ def regress_landmark(setup, pose, z, cov, noise, landmark, matrix, residual):
             x, y = _landmark_jacobian(setup, moved, z[0] + deviation[3], z[1] + deviation[4], unused)
             points[sign, i, 0], points[sign, i, 1] = x - landmark[0], y - landmark[1]
     offset = np.empty(2)
-    regress(setup, points[0], points[1], 5, 2, root, offset, matrix, residual)
+    regress(setup, points[0], points[1], 5, 2, root, offset, matrix, residual, 0)
     landmark[0] += offset[0]
     landmark[1] += offset[1]
     if invariant:

@@ -20,7 +20,7 @@ from kalmap.kernels.layout import (
     OUTLIER_GATE,
     SEQUENTIAL,
 )
-from kalmap.kernels.packed import add_outer, copy_row
+from kalmap.kernels.packed import add_outer, copy_row, transform_leading
 from kalmap.kernels.regression import congruence, left_jacobian, wrap
 from kalmap.kernels.sensing import first_bad_noise, regress_landmark, regress_sighting, sighting_block
 
@@ -256,6 +256,13 @@ def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
             return status, nis
         nis += part
     return OK, nis
+
+
+@njit(cache=True, nogil=True)
+def flush_and_update(setup, mean, packed, n, phi, z, indices, noises, left, right):
+    """Carry the waiting motion `phi` to the map, then `update_frame`: one call from Python instead of two."""
+    transform_leading(packed, n, len(phi), phi)
+    return update_frame(setup, mean, packed, n, z, indices, noises, left, right)
 
 
 @njit(cache=True, nogil=True)

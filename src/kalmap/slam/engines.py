@@ -105,10 +105,10 @@ class CompiledEngine:
         belief.pending = True
 
     def update(self, belief: Belief, z: np.ndarray, indices: np.ndarray, noises: np.ndarray) -> float:
-        belief.flush()
         left, right = belief.work(2 * len(indices))
-        status, nis = update.update_frame(
-            self.setup, belief.mean, belief.packed, belief.n, z, indices, noises, left, right
+        belief.pending = False
+        status, nis = update.flush_and_update(
+            self.setup, belief.mean, belief.packed, belief.n, belief.phi, z, indices, noises, left, right
         )
         if status:
             _check(status)
