@@ -32,4 +32,5 @@ def command(log: str, as_json: bool, robot: str | None, variant: str | None, see
     click.echo(
         msgspec.json.format(msgspec.json.encode(report), indent=2) if as_json else format_report(report)
     )
-    click.get_current_context().exit(1 if report.verdict == "problems" else 0)
+    unreadable = any(finding.what == "cannot be read" for finding in report.findings)
+    click.get_current_context().exit(2 if unreadable else 1 if report.verdict == "problems" else 0)

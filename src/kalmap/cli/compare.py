@@ -48,11 +48,14 @@ def command(log: str, methods: str, runs: int, workers: int | None, out: Path | 
 
 
 def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) -> int:
+    import msgspec
+
+    from kalmap.cli.folder import default_folder, make_folder, savable
+    from kalmap.cli.interrupt import stop_between_events
     from kalmap.cli.progress import progress_bar, time_span
-    from kalmap.cli.run import exit_code, merge_seed
+    from kalmap.cli.run import merge_seed
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import open_source
-    from kalmap.data.results import check_result_folder
     from kalmap.perception import ReflectorDetector
     from kalmap.records import RunConfig
     from kalmap.study import compare_methods, parse_methods
@@ -64,12 +67,12 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"])
     config = resolve(log.defaults, merge_seed(settings, seed))
     chosen = parse_methods(methods.split(","), config.filter)
-    folder = out or Path(f"kalmap-compare-{log.name}")
-    check_result_folder(folder)
+    folder = make_folder(out or default_folder("kalmap-compare", log.name))
     span = time_span(log)
-    with progress_bar(log.name, given["quiet"]) as show:
+    with progress_bar(log.name, given["quiet"]) as show, stop_between_events() as stop:
 
         def reached(_: str, now: float) -> None:
+            stop()
             if show is not None:
                 show(now - span[0] if span else 0.0, span[1] - span[0] if span else None)
 
@@ -81,14 +84,30 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
             tolerant=config.tolerant,
             progress=reached,
         )
+    if all(result.outcome is None for result in results):
+        raise next(result.error for result in results if result.error is not None)
+    results = [
+        result if result.outcome is None else msgspec.structs.replace(result, outcome=savable(result.outcome))
+        for result in results
+    ]
     metrics = save_comparison(folder, results, log, started=started)
     if not given["quiet"]:
         _table([(result.method, metrics.get(result.method, {})) for result in results])
         click.echo(f"written to {folder}")
-    codes = [
-        exit_code(result.error, result.outcome is not None and result.outcome.interrupted)
-        for result in results
-    ]
+    return _say_how_it_ended(results)
+
+
+def _say_how_it_ended(results: list[Any]) -> int:
+    """One line an error, with the methods that met it; returns the exit code."""
+    from kalmap.cli.run import exit_code
+
+    met: dict[str, list[str]] = {}
+    for result in results:
+        if result.error is not None:
+            met.setdefault(str(result.error), []).append(result.method)
+    codes = [exit_code(f"{', '.join(methods)}: {error}", False) for error, methods in met.items()]
+    if any(result.outcome is not None and result.outcome.interrupted for result in results):
+        codes.append(exit_code(None, True))
     return max(codes, default=0)
 
 

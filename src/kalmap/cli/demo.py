@@ -17,8 +17,11 @@ def command(out: Path, seed: int, quiet: bool) -> None:
 
     given = dict.fromkeys(("scope", "coordinates", "use", "association", "config_file", "robot", "variant"))
     code, _ = run_once(
-        "course-35", out, {**given, "pairs": (), "seed": seed, "tolerant": False, "quiet": quiet}, None
+        "course-35",
+        out,
+        {**given, "pairs": (), "seed": seed, "tolerant": False, "quiet": quiet, "no_figures": False},
+        None,
     )
-    if not quiet:
+    if not quiet and code == 0:
         click.echo(f"open {out / 'report.html'}; the map is {out / 'figures' / 'map.png'}")
     click.get_current_context().exit(code)

@@ -5,11 +5,24 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
 
 from kalmap.data.results import check_result_folder
 from kalmap.records import KalmapError
 
-_DRAWN = ("report.html", "figures/map.png", "figures/errors.png", "figures/consistency.png", "figures/timing.png")
+if TYPE_CHECKING:
+    from kalmap.slam import Outcome
+
+_DRAWN = (
+    "report.html",
+    "figures/map.png",
+    "figures/errors.png",
+    "figures/consistency.png",
+    "figures/timing.png",
+)
 
 
 def default_folder(prefix: str, name: str) -> Path:
@@ -28,6 +41,13 @@ def make_folder(folder: Path) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise KalmapError(f"{folder}: cannot hold a result: no permission to write")
     return folder
+
+
+def savable(outcome: Outcome) -> Outcome:
+    """The outcome; one of a run that ended before its first event, with the start at time 0."""
+    if np.isfinite(outcome.estimate.time):
+        return outcome
+    return msgspec.structs.replace(outcome, estimate=msgspec.structs.replace(outcome.estimate, time=0.0))
 
 
 def drop_drawn(folder: Path) -> None:

@@ -50,8 +50,6 @@ def kalmap() -> None:
 
 def main() -> None:
     """Entry point: every error becomes one line and an exit code."""
-    from kalmap.records.errors import KalmapError
-
     try:
         code = kalmap.main(prog_name="kalmap", standalone_mode=False)
         sys.stdout.flush()
@@ -61,26 +59,36 @@ def main() -> None:
     except BrokenPipeError:
         _drop_output()
         code = 0
-    except KalmapError as problem:
-        say(f"error: {problem}")
-        code = BAD_INPUT
-    except click.ClickException as problem:
-        say(f"error: {problem.format_message()}{_where_help_is(problem)}")
-        code = problem.exit_code
     except (click.Abort, KeyboardInterrupt):
         say("interrupted")
         code = INTERRUPTED
-    except OSError as problem:  # the disk is full, a folder cannot be made: nothing that kalmap could help
-        say(f"error: {_of_system(problem)}")
-        code = BAD_INPUT
-    except Exception as problem:  # the one place where a fault of kalmap meets the user
-        if os.environ.get("KALMAP_DEBUG"):
-            raise
-        say(
-            f"internal error: {type(problem).__name__}: {problem} (KALMAP_DEBUG=1 shows where; please report it)"
-        )
-        code = INTERNAL
+    except Exception as problem:  # the one place where errors meet the user
+        code = _explain(problem)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _explain(problem: Exception) -> int:
+    """Say on the error stream what is wrong; returns the exit code for it."""
+    from kalmap.records.errors import KalmapError  # not at the top: `--help` has no use for it
+
+    if isinstance(problem, KalmapError):
+        say(f"error: {problem}")
+        return BAD_INPUT
+    if isinstance(problem, click.exceptions.NoArgsIsHelpError):
+        click.echo(problem.format_message(), err=True)
+        return BAD_INPUT
+    if isinstance(problem, click.ClickException):
+        say(f"error: {problem.format_message()}{_where_help_is(problem)}")
+        return problem.exit_code
+    if os.environ.get("KALMAP_DEBUG"):
+        raise problem
+    if isinstance(
+        problem, OSError
+    ):  # the disk is full, a folder cannot be made: nothing that kalmap could help
+        say(f"error: {_of_system(problem)}")
+        return BAD_INPUT
+    say(f"internal error: {type(problem).__name__}: {problem} (KALMAP_DEBUG=1 shows where; please report it)")
+    return INTERNAL
 
 
 def _where_help_is(problem: click.ClickException) -> str:

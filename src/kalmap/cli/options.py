@@ -67,6 +67,7 @@ def parse_robot(text: str | None) -> int | None:
     """--robot as a number; `all` is the caller's business."""
     if text is None:
         return None
-    if not text.isdigit():
-        raise click.UsageError(f"--robot {text}: expected a number or all")
+    if not text.isascii() or not text.isdigit():
+        only = "; `kalmap run` alone takes all" if text == "all" else " or all"
+        raise click.UsageError(f"--robot {text}: expected a number{only}")
     return int(text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Callable, Iterator
 
 import click
@@ -14,8 +15,11 @@ from kalmap.records import Log
 
 @contextlib.contextmanager
 def progress_bar(title: str, quiet: bool) -> Iterator[Callable[[float, float | None], None] | None]:
-    """Yields `show(done, total)`; total None when it is not known. Yields None when nothing is to be shown."""
-    if quiet:
+    """Yields `show(done, total)`; total None when it is not known.
+
+    Yields None when nothing is to be shown: not wanted, or the error stream is no terminal.
+    """
+    if quiet or not sys.stderr.isatty():
         yield None
         return
     columns = (

@@ -7,6 +7,8 @@ from typing import Literal
 
 import click
 
+from kalmap.cli.messages import say
+
 Use = Literal["joint", "sequential"]
 PAPERS = ("crcdkf",)
 
@@ -39,10 +41,8 @@ def command(
     try:
         bailey_map("example_webmap")
     except LogError as problem:
-        click.echo(
-            f"kalmap: {problem}: the package's own course stands in, and the paper's numbers do not apply",
-            err=True,
-        )
+        if not quiet:
+            say(f"{problem}: the package's own course stands in, and the paper's numbers do not apply")
         maps = None
     with progress_bar(f"reproduce {paper}", quiet) as show:
         reproduction = reproduce_crcdkf(

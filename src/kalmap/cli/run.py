@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from kalmap.cli.messages import say
 from kalmap.cli.options import FILTER_NAMES, gather, parse_robot, shared_options
 
 
@@ -15,6 +16,7 @@ from kalmap.cli.options import FILTER_NAMES, gather, parse_robot, shared_options
 @click.argument("log")
 @click.option("--filter", "filter_name", type=click.Choice(FILTER_NAMES), help="Default: cr-cdkf.")
 @click.option("--out", type=click.Path(path_type=Path), help="Result folder; default kalmap-LOG.")
+@click.option("--no-figures", is_flag=True, help="Write neither figures nor report.")
 @shared_options
 def command(log: str, out: Path | None, **given: Any) -> None:
     """Run a filter over LOG and write a result folder.
@@ -31,13 +33,14 @@ def command(log: str, out: Path | None, **given: Any) -> None:
 
 def _every_robot(log: str, out: Path | None, given: dict[str, Any]) -> None:
     """One result folder a robot, below the one asked for."""
+    from kalmap.cli.folder import default_folder
     from kalmap.data import mrclam_robots
     from kalmap.records import LogError
 
     robots = mrclam_robots(log)
     if not robots:
         raise LogError("holds no log of several robots", file=log)
-    folder = out or Path(f"kalmap-{Path(log).resolve().name.lower()}")
+    folder = out or default_folder("kalmap", Path(log).resolve().name.lower())
     worst = 0
     for robot in robots:
         code, _ = run_once(log, folder / f"robot-{robot}", given, robot)
@@ -51,38 +54,44 @@ def run_once(
     text: str, out: Path | None, given: dict[str, Any], robot: int | None
 ) -> tuple[int, dict[str, float | int | None]]:
     """Open, run, write; returns the exit code and the metrics."""
+    from kalmap.cli.folder import default_folder, drop_drawn, make_folder, savable
+    from kalmap.cli.interrupt import stop_between_events
     from kalmap.cli.progress import progress_bar, summary_line, time_span
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import open_source
-    from kalmap.data.results import check_result_folder
     from kalmap.perception import ReflectorDetector
-    from kalmap.records import RunConfig
-    from kalmap.slam import run, slam_from_config
-    from kalmap.study.present import method_label, save_run
+    from kalmap.records import EstimationError, RunConfig
 
     started = datetime.now(UTC)
     settings, world = gather(given)
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
     log = open_source(text, seed, world, robot, given["variant"])
     config = resolve(log.defaults, merge_seed(settings, seed))
-    folder = out or Path(f"kalmap-{log.name}")
-    check_result_folder(folder)
-    slam = slam_from_config(config, log, ReflectorDetector())
-    span = time_span(log)
-    with progress_bar(f"{log.name}: {method_label(config)}", given["quiet"]) as show:
-        reached = None
-        if show is not None:
+    # Compiled code comes in only now, so that a log or setting that cannot be is told at once.
+    from kalmap.slam import run, slam_from_config
+    from kalmap.study.present import method_label, save_run
 
-            def reached(now: float) -> None:
+    slam = slam_from_config(config, log, ReflectorDetector())
+    folder = make_folder(out or default_folder("kalmap", log.name))
+    span, figures = time_span(log), not given["no_figures"]
+    title = f"{log.name}: {method_label(config)}"
+    with progress_bar(title, given["quiet"]) as show, stop_between_events() as stop:
+
+        def reached(now: float) -> None:
+            stop()
+            if show is not None:
                 show(now - span[0] if span else 0.0, span[1] - span[0] if span else None)
 
         outcome = run(slam, log, tolerant=config.tolerant, progress=reached)
-    metrics = save_run(folder, outcome, log, config, started=started)
+    if not figures:
+        drop_drawn(folder)
+    try:
+        metrics = save_run(folder, savable(outcome), log, config, started=started, figures=figures)
+    except EstimationError as problem:  # what the run met first is what the user has to know
+        raise EstimationError(f"{outcome.error}; {problem}" if outcome.error else str(problem)) from problem
     if not given["quiet"]:
         summary_line(f"{log.name}, {method_label(config)}", metrics)
-        click.echo(
-            f"written to {folder}{'' if outcome.error or outcome.interrupted else ' (see report.html)'}"
-        )
+        click.echo(f"written to {folder}{' (see report.html)' if figures else ''}")
     return exit_code(outcome.error, outcome.interrupted), metrics
 
 
@@ -91,12 +100,12 @@ def merge_seed(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     return {**settings, "seed": seed}
 
 
-def exit_code(error: Exception | None, interrupted: bool) -> int:
+def exit_code(error: object | None, interrupted: bool) -> int:
     """Say on the error stream why a run was cut short, and return the code for it."""
     if error is not None:
-        click.echo(f"kalmap: error: {error} (what was computed before is written)", err=True)
+        say(f"error: {error} (what was computed before is written)")
         return 2
     if interrupted:
-        click.echo("kalmap: interrupted; what was computed before is written", err=True)
+        say("interrupted; what was computed before is written")
         return 130
     return 0

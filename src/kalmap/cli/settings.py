@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,29 @@ Settings = dict[str, Any]
 
 
 def read_config(path: Path) -> Settings:
-    """A TOML or JSON file as a dictionary. Raises LogError naming the place if it cannot be read."""
+    """A TOML or JSON file as a dictionary.
+
+    Raises LogError, naming file and field, if it cannot be read or holds what is no setting.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
-        loaded = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        text = path.read_text(encoding="utf-8-sig")
+        loaded = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
     except FileNotFoundError:
         raise LogError("no such file", file=path) from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, tomllib.TOMLDecodeError) as problem:
+    except OSError as problem:
+        raise LogError(
+            f"cannot be read: {(problem.strerror or str(problem)).lower()}", file=path
+        ) from problem
+    except (ValueError, RecursionError) as problem:  # not UTF-8, not JSON, not TOML, or a number of no end
         raise LogError(f"is no configuration that can be read: {problem}", file=path) from problem
     if not isinstance(loaded, dict):
         raise LogError("expected a table of settings", file=path)
+    try:
+        resolve(RunConfig(), {key: value for key, value in loaded.items() if key != "world"})
+    except ConfigError as problem:
+        what, _, place = str(problem).removeprefix("configuration: ").partition(" - at ")
+        field = place.strip("`").removeprefix("$").removeprefix(".") or None
+        raise LogError(what, file=path, field=field) from problem
     return loaded
 
 
@@ -37,7 +51,7 @@ def parse_pairs(pairs: tuple[str, ...]) -> Settings:
             raise ConfigError(f"--set {pair}: expected key=value, for instance motion.sigma_speed=0.3")
         try:
             value = json.loads(text)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             value = text
         *path, last = key.strip().split(".")
         place = settings
@@ -61,6 +75,17 @@ def merge(base: Settings, over: Settings) -> Settings:
 def resolve(defaults: RunConfig, settings: Settings) -> RunConfig:
     """The defaults with settings on top. Raises ConfigError naming an unknown key or a wrong value."""
     try:
-        return msgspec.convert(merge(msgspec.to_builtins(defaults), settings), RunConfig, strict=True)
+        resolved = msgspec.convert(merge(msgspec.to_builtins(defaults), settings), RunConfig, strict=True)
     except msgspec.ValidationError as problem:
         raise ConfigError(f"configuration: {problem}") from problem
+    _check_finite(msgspec.to_builtins(resolved), "$")
+    return resolved
+
+
+def _check_finite(settings: Settings, place: str) -> None:
+    """Raise ConfigError for a setting that is NaN or infinite, which JSON and TOML can say."""
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            _check_finite(value, f"{place}.{key}")
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"configuration: Expected a finite number, got {value} - at `{place}.{key}`")

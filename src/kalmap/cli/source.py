@@ -62,6 +62,8 @@ def _changed(world: World, overrides: dict[str, Any]) -> World:
             raise ConfigError(f"world.{key}: no such setting; there are {', '.join(sorted(known))}")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ConfigError(f"world.{key}: expected a number, got {value!r}")
+        if isinstance(getattr(world, key), int) and not isinstance(value, int):
+            raise ConfigError(f"world.{key}: expected a whole number, got {value!r}")
     return msgspec.structs.replace(world, **overrides)
 
 

@@ -31,6 +31,21 @@ def _rank4_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
+def _rank2_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
+    """The same with two factors, for what a rank that is no multiple of four leaves over."""
+    a00, a01, a02, a03 = left[k, i], left[k, i + 1], left[k, i + 2], left[k, i + 3]
+    a10, a11, a12, a13 = left[k + 1, i], left[k + 1, i + 1], left[k + 1, i + 2], left[k + 1, i + 3]
+    r0 = right[k, j0 : j0 + m]
+    r1 = right[k + 1, j0 : j0 + m]
+    for j in range(m):
+        x0, x1 = r0[j], r1[j]
+        p0[j] += a00 * x0 + a10 * x1
+        p1[j] += a01 * x0 + a11 * x1
+        p2[j] += a02 * x0 + a12 * x1
+        p3[j] += a03 * x0 + a13 * x1
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _rank4_on_row(packed, row, left, right, k):
     """Add left[k:k+4, row]' right[k:k+4, :row+1] to one row, without slices: what small matrices spend most on."""
     a0, a1, a2, a3 = left[k, row], left[k + 1, row], left[k + 2, row], left[k + 3, row]
@@ -45,13 +60,14 @@ def _rank4_on_row(packed, row, left, right, k):
 def add_outer(packed, n, left, right, rank):
     """packed += left' right on the lower triangle of the leading n x n part, in one pass over it.
 
-    left, right: (>= rank, >= n); `rank` is a multiple of 4 (pad with rows of zeros). The caller sees
-    to it that left' right is symmetric. O(rank n^2 / 2), no allocation.
+    left, right: (>= rank, >= n); `rank` is even. The caller sees to it that left' right is symmetric. O(rank n^2 / 2), no allocation.
     """
+    fours = rank - rank % 4
     if n < _SMALL:
         for row in range(n):
-            for k in range(0, rank, 4):
+            for k in range(0, fours, 4):
                 _rank4_on_row(packed, row, left, right, k)
+            _add_row_end(packed, row, 0, left, right, fours, rank)
         return
     whole = n - n % 4
     for i in range(0, whole, 4):
@@ -65,19 +81,21 @@ def add_outer(packed, n, left, right, rank):
             p1 = packed[o1 + j0 : o1 + j0 + m]
             p2 = packed[o2 + j0 : o2 + j0 + m]
             p3 = packed[o3 + j0 : o3 + j0 + m]
-            for k in range(0, rank, 4):
+            for k in range(0, fours, 4):
                 _rank4_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m)
+            if fours < rank:
+                _rank2_on_four_rows(p0, p1, p2, p3, left, right, fours, i, j0, m)
         for row in range(i + 1, i + 4):
-            _add_row_end(packed, row, i + 1, left, right, rank)
+            _add_row_end(packed, row, i + 1, left, right, 0, rank)
     for row in range(whole, n):
-        _add_row_end(packed, row, 0, left, right, rank)
+        _add_row_end(packed, row, 0, left, right, 0, rank)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _add_row_end(packed, row, first, left, right, rank):
-    """The entries (row, first..row), which the four-row loop leaves over."""
+def _add_row_end(packed, row, first, left, right, factor, rank):
+    """The entries (row, first..row) of the factors from `factor` on, which the larger steps leave over."""
     start = row * (row + 1) // 2
-    for k in range(rank):
+    for k in range(factor, rank):
         a = left[k, row]
         for j in range(first, row + 1):
             packed[start + j] += a * right[k, j]
@@ -96,13 +114,31 @@ def copy_row(packed, n, i, out):
 
 
 @njit(cache=True, nogil=True)
+def _transform_three(packed, n, phi):
+    """`transform_leading` for d = 3, in registers: then the cache misses of several rows overlap."""
+    a, b, c = phi[0, 0], phi[0, 1], phi[0, 2]
+    d, e, f = phi[1, 0], phi[1, 1], phi[1, 2]
+    g, h, k = phi[2, 0], phi[2, 1], phi[2, 2]
+    for i in range(3, n):
+        start = i * (i + 1) // 2
+        x, y, t = packed[start], packed[start + 1], packed[start + 2]
+        packed[start] = a * x + b * y + c * t
+        packed[start + 1] = d * x + e * y + f * t
+        packed[start + 2] = g * x + h * y + k * t
+
+
+@njit(cache=True, nogil=True)
 def transform_leading(packed, n, d, phi):
     """Carry the cross-covariance of the leading d entries along: rows i >= d get P[i, :d] <- phi P[i, :d].
 
     phi becomes the identity: it has been used up.
     """
+    first = d
+    if d == 3:
+        _transform_three(packed, n, phi)
+        first = n
     old = np.empty(d)
-    for i in range(d, n):
+    for i in range(first, n):
         start = i * (i + 1) // 2
         for c in range(d):
             old[c] = packed[start + c]

@@ -20,7 +20,7 @@ from kalmap.kernels.layout import (
     OUTLIER_GATE,
     SEQUENTIAL,
 )
-from kalmap.kernels.packed import add_outer, copy_row, transform_leading
+from kalmap.kernels.packed import add_outer, transform_leading
 from kalmap.kernels.regression import congruence, left_jacobian, wrap
 from kalmap.kernels.sensing import first_bad_noise, regress_landmark, regress_sighting, sighting_block
 
@@ -113,12 +113,15 @@ def _innovation_root(indices, matrices, noises, work, root):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _whiten(root, k, n, work, innovation, correction):
-    """work <- L^-1 work, innovation <- L^-1 innovation, correction <- work' innovation. Returns the NIS."""
+def _whiten(root, k, n, work, negated, innovation, correction):
+    """work <- L^-1 work, innovation <- L^-1 innovation, correction <- work' innovation. Returns the NIS.
+
+    negated: its first k rows become -work.
+    """
     nis = 0.0
     correction[:n] = 0.0
     for i in range(k):
-        row = work[i]
+        row, minus = work[i], negated[i]
         y = innovation[i]
         for p in range(i):
             factor = root[i, p]
@@ -131,8 +134,10 @@ def _whiten(root, k, n, work, innovation, correction):
         innovation[i] = y
         nis += y * y
         for j in range(n):
-            row[j] *= scale
-            correction[j] += row[j] * y
+            value = row[j] * scale
+            row[j] = value
+            minus[j] = -value
+            correction[j] += value * y
     return nis
 
 
@@ -170,21 +175,18 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
     if not _innovation_root(indices, matrices, noises, right, root):
         return INNOVATION_NOT_POSITIVE, 0.0
     correction, shift = np.empty(n), np.empty(n)
-    nis = _whiten(root, k, n, right, innovation, correction)
+    nis = _whiten(root, k, n, right, left, innovation, correction)
     if not math.isfinite(nis):
         return NOT_FINITE, nis
     rank = k
     if setup[INVARIANT] != 0.0:
         theta_row = right[k + 1]
-        copy_row(packed, n, 2, theta_row)
+        theta_row[:n] = left[k + 2, :n]  # the heading's row of P, as it was gathered
         for p in range(k):
             factor = right[p, 2]
             for j in range(n):
                 theta_row[j] -= factor * right[p, j]
     _correct_mean(setup, mean, n, correction, shift)
-    for p in range(k):
-        for j in range(n):
-            left[p, j] = -right[p, j]
     if setup[INVARIANT] != 0.0:
         half = 0.5 * right[k + 1, 2]
         for j in range(n):
@@ -193,10 +195,6 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
             left[k + 1, j] = right[k, j]
             right[k + 1, j] = shift[j]
         rank = k + 2
-    while rank % 4:
-        left[rank, :n] = 0.0
-        right[rank, :n] = 0.0
-        rank += 1
     add_outer(packed, n, left, right, rank)
     return OK, nis
 

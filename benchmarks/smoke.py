@@ -1,0 +1,85 @@
+"""In under a minute: has speed or accuracy broken? Generous bounds, no peers. Ends with 1 if so.
+
+python benchmarks/smoke.py
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import scaling  # sets one BLAS thread before numpy comes
+
+import numpy as np  # isort: skip
+
+from kalmap import slam_from_config
+from kalmap.evaluation import pose_nees
+from kalmap.simulate import simulate, world_by_name
+
+SLOPE, BLAS_RATIO, BUFFERS = 2.4, 2.5, 1.3
+STEP_SHARE = 0.1  # of n^2 doubles: what a step may allocate at n = 2,003
+MS_PER_SCAN, POSITION_M, FEATURES_M, NEES = 1.0, 12.0, 8.0, 12.0  # course-35, the default filter
+
+
+def course_35(seeds: range) -> dict[str, float]:
+    """The default filter on the package's own course: CPU ms per scan, RMS errors, mean NEES."""
+    seconds, scans, square, apart, nees = 0.0, 0, [], [], []
+    for seed in seeds:
+        log = simulate(world_by_name("course-35"), seed)
+        slam, truth, events = slam_from_config(log.defaults, log), log.references[0], list(log)
+        poses = np.empty((len(events), 3))
+        covariances = np.empty((len(events), 3, 3))
+        for i, event in enumerate(events):
+            begin = time.process_time()
+            slam.step(event)
+            seconds += time.process_time() - begin
+            poses[i], covariances[i] = slam.pose, slam.pose_covariance
+        rows = np.searchsorted(truth.times, [event.time - 1e-9 for event in events])
+        exact = np.column_stack([truth.positions[rows], truth.headings[rows]])
+        square.append(np.sum((poses - exact)[:, :2] ** 2, axis=1).mean())
+        nees.append(np.nanmean(pose_nees(exact, poses, covariances, "invariant")[100:]))
+        found = slam.estimate().landmarks
+        apart.append(np.sum((found.positions - truth.landmarks[found.ids]) ** 2, axis=1).mean())
+        scans += len(events) // 2
+    return {
+        "ms": 1e3 * seconds / scans,
+        "position": float(np.sqrt(np.mean(square))),
+        "features": float(np.sqrt(np.mean(apart))),
+        "nees": float(np.mean(nees)),
+    }
+
+
+def checks() -> list[tuple[str, float, float]]:
+    """(what, measured, at most)."""
+    scaling.Course(100, "cr-cdkf").timed(5)  # compiles
+    course_35(range(1))
+    run = course_35(range(1, 4))
+    blas = scaling.against_blas("cr-cdkf", "invariant", 12, 8)
+    step = scaling.step_memory(2003, "cr-cdkf")
+    grown = scaling.map_memory(1003, "cr-cdkf")
+    return [
+        ("slope of a frame's time in n, 100 to 2,000",
+         scaling.slope(scaling.frame_times((100, 300, 1000, 2000), "cr-cdkf", 8)), SLOPE),
+        ("rank-20 update at n = 2,003 over dsyrk", blas["ratio"], BLAS_RATIO),
+        ("Python bytes of a step over n^2 doubles", step["python_bytes"] / step["n2_bytes"], STEP_SHARE),
+        ("resident bytes of a step over n^2 doubles", step["resident_bytes"] / step["n2_bytes"], STEP_SHARE),
+        ("buffers of a map over n^2 doubles", grown["buffers_share"], BUFFERS),
+        ("course-35, CPU ms per scan", run["ms"], MS_PER_SCAN),
+        ("course-35, position m", run["position"], POSITION_M),
+        ("course-35, features m", run["features"], FEATURES_M),
+        ("course-35, NEES (3 is right)", run["nees"], NEES),
+    ]  # fmt: skip
+
+
+def main() -> int:
+    """Print every check; 1 if one is broken. A number that is not finite is broken too."""
+    broken = 0
+    for what, measured, most in checks():
+        good = measured <= most
+        broken += not good
+        print(f"{'ok    ' if good else 'BROKEN'}  {what}: {measured:.3g} (at most {most:g})")
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
