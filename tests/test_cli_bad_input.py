@@ -64,7 +64,7 @@ RECORDS = {
 FIRST = {
     "sighting before odometry": (
         {"odometry": TIMED, "motion": "time,duration,speed,steering"} | bad_sighting("-0.5,4.0,0.3,7", 2),
-        *("", 2, "time", "before any odometry", None),
+        *("sightings.csv", 2, "time", "before any odometry", None),
     ),
     "first id in words": (bad_sighting("0.05,4,0.3,oak", 2), "sightings.csv", 2, "id", "'oak'", 0.0),
 }
@@ -206,9 +206,10 @@ def test_a_start_that_is_no_covariance_and_a_header_that_is_none(tmp_path):
     calls["compared"] = ["compare", logs["indefinite"], "--methods", "ekf,ckf", "--out", tmp_path / "both"]
     answers = kalmap_all(calls)
     assert {answer.code for answer in answers.values()} == {2}
-    assert "start_covariance: is not positive semi-definite" in answers["indefinite"].error
-    assert "start_covariance: is not positive semi-definite" in answers["compared"].error
-    assert "start_covariance: expected a finite symmetric" in answers["crooked"].error
+    place = "log.json, field start_covariance: "
+    assert place + "is not positive semi-definite" in answers["indefinite"].error
+    assert place + "is not positive semi-definite" in answers["compared"].error
+    assert place + "expected a symmetric matrix" in answers["crooked"].error
     assert "log.json, field config.motion: " in answers["key"].error and "`modell`" in answers["key"].error
     assert "log.json, field config.motion.model: 'unicycle' does not go" in answers["model"].error
     assert not (tmp_path / "out").exists()

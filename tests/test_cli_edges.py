@@ -30,6 +30,15 @@ LOGS = {
         },
         *([], 0, "", 1),
     ),
+    "seen at the very start": ({"sightings": ["0,4,0.3,7", "0.15,4,0.3,7"]}, [], 0, "", 1),
+    "seen before the start": (
+        {"sightings": ["-1,4,0.3,7", "0.15,4,0.3,7"]},
+        *([], 2, "sightings.csv, record 2, field time: a sighting before any odometry", 0),
+    ),
+    "skipped before the start": ({"sightings": ["-1,4,0.3,7", "0.15,4,0.3,7"]}, ["--tolerant"], 0, "", 1),
+    "beyond all numbers": ({"odometry": ["0,1e300,0", "0.1,1e300,0.5", "0.2,1,0"]}, [], 2, "finite", 0),
+    "absurd noise": ({}, ["--set", "motion.sigma_speed=1e200"], 2, "", 0),
+    "a sighting out of this world": ({"sightings": ["0.05,1e200,0.3,7"]}, [], 2, "finite", 0),
     "increments": (
         {
             "odometry": ["0.1,0.1,0,0", "0.2,0.1,0,0.01"],
@@ -47,7 +56,12 @@ LOGS = {
     "no ids": ({"sightings": ["0.05,4,0.3"], "seen": "time,range,bearing"}, [], 0, "", 1),
     "no ids, known": (
         {"sightings": ["0.05,4,0.3"], "seen": "time,range,bearing"},
-        *(["--association", "known"], 2, "record 2, field ids: t = 0.05 s: the log gives no identities", 0),
+        *(
+            ["--association", "known"],
+            2,
+            "sightings.csv, record 2, field ids: t = 0.05 s: the log gives no identities",
+            0,
+        ),
     ),
     "blank ids": ({"sightings": ["0.05,4,0.3,", "0.15,4,0.3,-1"]}, [], 0, "", 0),
     "an odd name": ({"name": "../../a\nb/ c"}, [], 0, "", 2),

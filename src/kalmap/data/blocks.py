@@ -53,6 +53,7 @@ class _Samples(msgspec.Struct, frozen=True):
     values: np.ndarray
     covariance: np.ndarray | None
     records: np.ndarray
+    file: str = ""
 
 
 class _Item(msgspec.Struct, frozen=True):
@@ -78,6 +79,11 @@ def events(streams: Streams, skip: Skip | None, detector: Detector | None = None
     seen = _observation_times(streams, good, starts)
     samples = _samples(streams.odometry, good["odometry"], seen)
     begin, end = covered(streams.odometry, good["odometry"], seen)
+    if streams.refuse_early and streams.sightings is not None:
+        early = good["sightings"] & (streams.sightings.times < begin)
+        faults += [_too_early(streams.sightings, row) for row in np.flatnonzero(early).tolist()]
+    if (seen == begin).any():  # seen before anything moved: the filter has to know that odometry is there
+        yield _standing(streams.odometry, begin)
     items = _items(streams, good, starts, detector, faults)
     done = 0
     for item, index in _in_order(items, begin, end):
@@ -94,6 +100,26 @@ def events(streams: Streams, skip: Skip | None, detector: Detector | None = None
     yield from _blocks(samples, done, len(samples.ends))
     if not good["odometry"].any():
         raise LogError("no odometry record that can be used", file=streams.odometry.file)
+
+
+def _too_early(sightings: SightingStream, row: int) -> Fault:
+    return Fault(
+        file=sightings.file,
+        row=row,
+        record=int(sightings.records[row]),
+        field="time",
+        problem="a sighting before any odometry",
+        time=float(sightings.times[row]),
+        after=False,
+    )
+
+
+def _standing(odometry: OdometryStream, time: float) -> Odometry:
+    """A block of no samples at the start."""
+    count = odometry.values.shape[1]
+    return Odometry(
+        time, np.zeros((0, count)), np.zeros(0), record=int(odometry.records[0]), file=odometry.file
+    )
 
 
 def covered(odometry: OdometryStream, good: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
@@ -114,7 +140,7 @@ def _samples(odometry: OdometryStream, good: np.ndarray, seen: np.ndarray) -> _S
     covariance = None if odometry.covariance is None else odometry.covariance[good]
     if odometry.durations is not None:
         durations = odometry.durations[good]
-        samples = _Samples(times - durations, times, durations, values, covariance, records)
+        samples = _Samples(times - durations, times, durations, values, covariance, records, odometry.file)
         movement = odometry.names[0] == "dx"
         return samples if movement else _split(samples, seen)
     _, last = covered(odometry, good, seen)
@@ -127,6 +153,7 @@ def _samples(odometry: OdometryStream, good: np.ndarray, seen: np.ndarray) -> _S
         values[lasting],
         None if covariance is None else covariance[lasting],
         records[lasting],
+        odometry.file,
     )
     return _split(held, seen)
 
@@ -152,7 +179,8 @@ def _split(samples: _Samples, seen: np.ndarray) -> _Samples:
     whole = np.bincount(owners, minlength=len(samples.ends))[owners] == 1
     durations = np.where(whole, samples.durations[owners], ends - starts)
     covariance = None if samples.covariance is None else samples.covariance[owners]
-    return _Samples(starts, ends, durations, samples.values[owners], covariance, samples.records[owners])
+    values, records = samples.values[owners], samples.records[owners]
+    return _Samples(starts, ends, durations, values, covariance, records, samples.file)
 
 
 def _blocks(samples: _Samples, low: int, high: int) -> Iterator[Odometry]:
@@ -169,6 +197,7 @@ def _blocks(samples: _Samples, low: int, high: int) -> Iterator[Odometry]:
             samples.durations[low:cut],
             None if covariance is None else covariance[low:cut],
             int(samples.records[low]),
+            samples.file,
         )
         low = cut
 
@@ -214,7 +243,12 @@ def _items(
             row = rows[k]
             bits = None if scans.intensities is None else scans.intensities[row]
             sweep = Scan(
-                float(scans.times[row]), scans.ranges[row], scans.bearings, bits, int(scans.records[row])
+                float(scans.times[row]),
+                scans.ranges[row],
+                scans.bearings,
+                bits,
+                int(scans.records[row]),
+                scans.file,
             )
             return sweep if detector is None else detector(sweep)
 
@@ -225,7 +259,7 @@ def _items(
         def fix(k: int) -> Event:
             row = kept[k]
             x, y, heading = fixes.values[row].tolist()
-            return Fix(float(fixes.times[row]), x, y, heading, int(fixes.records[row]))
+            return Fix(float(fixes.times[row]), x, y, heading, int(fixes.records[row]), fixes.file)
 
         items.append(_Item(fixes.times[kept], 3, fix))
     return items
@@ -255,6 +289,7 @@ def _frame_maker(stream: SightingStream, good: np.ndarray, starts: np.ndarray) -
             None if covariance is None else covariance[rows],
             None if attributes is None else {name: a[rows] for name, a in attributes.items()},
             int(records[low]),
+            stream.file,
         )
 
     return frame

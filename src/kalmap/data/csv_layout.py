@@ -49,9 +49,9 @@ def covariance_columns(names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
     return variances | {f"cov_{names[i]}_{names[j]}": (i, j) for i, j in pairs}
 
 
-def names_model(raw: Any) -> bool:
-    """Whether a decoded `log.json` says which motion model it is."""
-    for key in ("config", "motion", "model"):
+def names(raw: Any, *keys: str) -> bool:
+    """Whether a decoded `log.json` has a value at this place, for instance "config", "motion", "model"."""
+    for key in keys:
         if not isinstance(raw, dict) or key not in raw:
             return False
         raw = raw[key]

@@ -6,15 +6,16 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from kalmap.data import csv_layout as layout
 from kalmap.data.blocks import StreamEvents
-from kalmap.data.streams import FixStream, OdometryStream, SightingStream, Streams, identities
+from kalmap.data.streams import ROUNDED, FixStream, OdometryStream, SightingStream, Streams, identities
 from kalmap.data.text import Table, parse_rows, read_text
-from kalmap.records import AssociationConfig, Log, LogError, Reference, RunConfig
+from kalmap.records import Log, LogError, Reference, RunConfig
 
 
 class _Columns(msgspec.Struct, frozen=True):
@@ -33,10 +34,11 @@ class _Columns(msgspec.Struct, frozen=True):
 
 def open_csv(folder: Path) -> Log:
     """The log in a folder of csv files. Raises `LogError` for headers or a `log.json` that are wrong."""
-    header, model_named = _header(folder)
+    header, raw = _header(folder)
+    _check_start(folder, header)
     motion = _motion_columns(_names(folder / layout.ODOMETRY))
     identified = (folder / layout.SIGHTINGS).is_file() and "id" in _names(folder / layout.SIGHTINGS)
-    config = _config(folder, header, model_named, motion, identified)
+    config = _config(folder, header, raw, motion, identified)
     events = (layout.ODOMETRY, layout.SIGHTINGS, layout.FIXES, layout.LANDMARKS, layout.HEADER)
     return Log(
         name=header.name or folder.resolve().name,
@@ -51,14 +53,14 @@ def open_csv(folder: Path) -> Log:
     )
 
 
-def _header(folder: Path) -> tuple[layout.Header, bool]:
-    """`log.json`, and whether it names the motion model."""
+def _header(folder: Path) -> tuple[layout.Header, Any]:
+    """`log.json`, checked, and as it stands: so that what it leaves out can be told."""
     path = folder / layout.HEADER
     if not path.is_file():
-        return layout.Header(), False
+        return layout.Header(), {}
     text = read_text(path)
     try:
-        return msgspec.json.decode(text, type=layout.Header), layout.names_model(msgspec.json.decode(text))
+        return msgspec.json.decode(text, type=layout.Header), msgspec.json.decode(text)
     except msgspec.ValidationError as error:
         # msgspec says "what is wrong - at `$.config.motion`" and names an unknown key itself.
         problem, _, place = str(error).partition(" - at ")
@@ -67,17 +69,28 @@ def _header(folder: Path) -> tuple[layout.Header, bool]:
         raise LogError(f"not JSON: {error}", file=path) from error
 
 
+def _check_start(folder: Path, header: layout.Header) -> None:
+    covariance = np.array(header.start_covariance)
+    if np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        smallest, *_, largest = np.linalg.eigvalsh(covariance).tolist()
+        if smallest >= -ROUNDED * max(largest, 0.0):
+            return
+        problem = "is not positive semi-definite"
+    else:
+        problem = "expected a symmetric matrix"
+    raise LogError(problem, file=folder / layout.HEADER, field="start_covariance")
+
+
 def _config(
-    folder: Path, header: layout.Header, model_named: bool, motion: tuple[str, ...], identified: bool
+    folder: Path, header: layout.Header, raw: Any, motion: tuple[str, ...], identified: bool
 ) -> RunConfig:
     """The settings of `log.json`, completed by what the tables show."""
     models = layout.MOTIONS[motion]
-    if header.config is None:
-        method = AssociationConfig(method="known" if identified else "likelihood")
-        config = RunConfig(association=method)
-    else:
-        config = header.config
-    if not model_named:
+    config = header.config or RunConfig()
+    if not layout.names(raw, "config", "association", "method"):
+        chosen = msgspec.structs.replace(config.association, method="known" if identified else "likelihood")
+        config = msgspec.structs.replace(config, association=chosen)
+    if not layout.names(raw, "config", "motion", "model"):
         return msgspec.structs.replace(config, motion=msgspec.structs.replace(config.motion, model=models[0]))
     if config.motion.model not in models:
         raise LogError(
@@ -154,6 +167,7 @@ def _streams(folder: Path, landmarks_complete: bool) -> Streams:
     if landmarks_complete and (folder / layout.LANDMARKS).is_file():
         known = _landmarks(folder)[0]
     return Streams(
+        refuse_early=True,
         odometry=_odometry(folder / layout.ODOMETRY),
         sightings=_sightings(folder / layout.SIGHTINGS) if (folder / layout.SIGHTINGS).is_file() else None,
         fixes=_fixes(folder / layout.FIXES) if (folder / layout.FIXES).is_file() else None,

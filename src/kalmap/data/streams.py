@@ -83,13 +83,18 @@ class FixStream(Stream, frozen=True, kw_only=True):
 
 
 class Streams(msgspec.Struct, frozen=True, kw_only=True):
-    """All streams of a log. known_ids: the identities that exist; None where the log does not list them."""
+    """All streams of a log.
+
+    known_ids: the identities that exist; None where the log does not list them. refuse_early: a sighting
+    before the first odometry is a fault; else, as a known quirk of recorded logs, it is left out.
+    """
 
     odometry: OdometryStream
     sightings: SightingStream | None = None
     scans: ScanStream | None = None
     fixes: FixStream | None = None
     known_ids: np.ndarray | None = None
+    refuse_early: bool = False
 
     def named(self) -> dict[str, Stream]:
         """The streams that exist, by name."""

@@ -46,7 +46,7 @@ from kalmap.kernels.packed import pack, unpack
 from kalmap.kernels.regression import left_jacobian, regress, square_root, weights, wrap
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def control_corrections(setup, biases, deviation):
     """(speed scale, turn scale, turn offset) that the constant errors biases + deviation[3:] amount to."""
     speed_scale, turn_scale, turn_offset = 1.0, 1.0, 0.0
@@ -62,7 +62,7 @@ def control_corrections(setup, biases, deviation):
     return speed_scale, turn_scale, turn_offset
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def increment(setup, first, second, turn, dt):
     """Body increment (dx, dy, dtheta) of one sample from its corrected control, and nothing else of the model.
 
@@ -87,7 +87,7 @@ def increment(setup, first, second, turn, dt):
     return distance * s, distance * c, angle
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sample_increment(setup, control, noise, biases, deviation, dt):
     """Increment of a control deviated by `noise`, with biases deviated by `deviation`, corrected first.
 
@@ -103,7 +103,7 @@ def sample_increment(setup, control, noise, biases, deviation, dt):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def increment_jacobian(setup, control, dt, out):
     """d increment / d corrected control: (3, c)."""
     kind = int(setup[MOTION])
@@ -145,7 +145,7 @@ def increment_jacobian(setup, control, dt, out):
     out[2, 0], out[2, 1] = turn_v, turn_g
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def bias_jacobian(setup, control, c, out):
     """d corrected control / d biases: (c, nb)."""
     out[:, :] = 0.0
@@ -161,7 +161,7 @@ def bias_jacobian(setup, control, c, out):
             out[c - 1, i] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def control_covariance(setup, control, dt, out):
     """The noise of one sample (first, second, turn), from the sensor class's sigmas."""
     out[:, :] = 0.0
@@ -180,7 +180,7 @@ def control_covariance(setup, control, dt, out):
     out[1, 1] = scale * (setup[SIGMA_TURN] ** 2 + (setup[RATIO_TURN] * control[2]) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _next_difference(setup, pose, heading, step0, deviation, control, noise, biases, dt):
     """Next pose at a deviated (pose, biases, control), as a difference from the undeviated next pose.
 
@@ -218,7 +218,7 @@ def _next_difference(setup, pose, heading, step0, deviation, control, noise, bia
     return dx, dy, dt_angle
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _write_turn(heading, step, matrix):
     """The pose's own columns: the next pose turns about the present one."""
     cosine, sine = heading
@@ -229,7 +229,7 @@ def _write_turn(heading, step, matrix):
     matrix[1, 2] = cosine * step[0] - sine * step[1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _step_by_points(
     setup,
     pose,
@@ -275,7 +275,7 @@ def _step_by_points(
     regress(setup, plus, minus, n, 3, root, offset, matrix, residual, linear)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _step_by_jacobian(setup, heading, step0, control, biases, c, dt, matrix, scratch):
     """d next pose / d (pose, biases, control), analytically, at the mean. scratch: (10, 5)."""
     nb = len(biases)
@@ -304,7 +304,7 @@ def _step_by_jacobian(setup, heading, step0, control, biases, c, dt, matrix, scr
         matrix[2, 3 + nb + k] = scale * gt
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def propagate(setup, mean, packed, phi, controls, durations, covariances):
     """Carry the robot block (pose, biases) through T samples; the map's cross-covariance waits in `phi`.
 
@@ -373,6 +373,8 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
     for i in range(3):
         if not math.isfinite(pose[i]) or not math.isfinite(block[i, i]):
             return NOT_FINITE
+        if block[i, i] < 0.0:
+            return NOT_POSITIVE
     for i in range(3):
         mean[i] = pose[i]
     pack(block, d, packed)
@@ -380,7 +382,7 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
     return OK
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _move_mean(setup, pose, heading, step, offset, matrix, residual):
     """The pose after `step` and the mean's `offset`; invariant errors are carried along with the latter."""
     s, v = 1.0, 0.0
@@ -405,7 +407,7 @@ def _move_mean(setup, pose, heading, step, offset, matrix, residual):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _advance(matrix, residual, q, d, c, block, total, top):
     """block <- F block F' + G Q G' + Lambda and total <- F total, with [F G] = matrix over [0 I 0].
 

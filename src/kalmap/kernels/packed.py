@@ -11,7 +11,7 @@ _SMALL = 176  # below this size setting up a strip costs more than it saves
 _STRIP = 512  # columns at a time, so that four rows of the strip stay in the first-level cache
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _rank4_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
     """Add left[k:k+4, i:i+4]' right[k:k+4, j0:j0+m] to four row pieces: 16 products a load of four."""
     a00, a01, a02, a03 = left[k, i], left[k, i + 1], left[k, i + 2], left[k, i + 3]
@@ -30,7 +30,7 @@ def _rank4_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
         p3[j] += a03 * x0 + a13 * x1 + a23 * x2 + a33 * x3
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _rank2_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
     """The same with two factors, for what a rank that is no multiple of four leaves over."""
     a00, a01, a02, a03 = left[k, i], left[k, i + 1], left[k, i + 2], left[k, i + 3]
@@ -45,9 +45,9 @@ def _rank2_on_four_rows(p0, p1, p2, p3, left, right, k, i, j0, m):
         p3[j] += a03 * x0 + a13 * x1
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _rank4_on_row(packed, row, left, right, k):
-    """Add left[k:k+4, row]' right[k:k+4, :row+1] to one row, without slices: what small matrices spend most on."""
+    """Add left[k:k+4, row]' right[k:k+4, :row+1] to one row: no slices, whose set-up dominates small matrices."""
     a0, a1, a2, a3 = left[k, row], left[k + 1, row], left[k + 2, row], left[k + 3, row]
     start = row * (row + 1) // 2
     for j in range(row + 1):
@@ -56,11 +56,12 @@ def _rank4_on_row(packed, row, left, right, k):
         )
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def add_outer(packed, n, left, right, rank):
     """packed += left' right on the lower triangle of the leading n x n part, in one pass over it.
 
-    left, right: (>= rank, >= n); `rank` is even. The caller sees to it that left' right is symmetric. O(rank n^2 / 2), no allocation.
+    left, right: (>= rank, >= n); `rank` is even. The caller sees to it that left' right is
+    symmetric. O(rank n^2 / 2), no allocation.
     """
     fours = rank - rank % 4
     if n < _SMALL:
@@ -91,7 +92,7 @@ def add_outer(packed, n, left, right, rank):
         _add_row_end(packed, row, 0, left, right, 0, rank)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
 def _add_row_end(packed, row, first, left, right, factor, rank):
     """The entries (row, first..row) of the factors from `factor` on, which the larger steps leave over."""
     start = row * (row + 1) // 2
@@ -101,7 +102,7 @@ def _add_row_end(packed, row, first, left, right, factor, rank):
             packed[start + j] += a * right[k, j]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def copy_row(packed, n, i, out):
     """out[:n] = row i of the symmetric matrix."""
     start = i * (i + 1) // 2
@@ -113,7 +114,7 @@ def copy_row(packed, n, i, out):
         out[j] = packed[position]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _transform_three(packed, n, phi):
     """`transform_leading` for d = 3, in registers: then the cache misses of several rows overlap."""
     a, b, c = phi[0, 0], phi[0, 1], phi[0, 2]
@@ -127,7 +128,7 @@ def _transform_three(packed, n, phi):
         packed[start + 2] = g * x + h * y + k * t
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def transform_leading(packed, n, d, phi):
     """Carry the cross-covariance of the leading d entries along: rows i >= d get P[i, :d] <- phi P[i, :d].
 
@@ -152,7 +153,7 @@ def transform_leading(packed, n, d, phi):
             phi[r, c] = 1.0 if r == c else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def remove(packed, vector, n, first, count):
     """Marginalise entries first..first+count out: drop these rows and columns in place. Returns the new n."""
     write = first * (first + 1) // 2
@@ -166,7 +167,7 @@ def remove(packed, vector, n, first, count):
     return n - count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def unpack(packed, n, out):
     """Write the leading n x n part as a full symmetric matrix into `out`."""
     position = 0
@@ -177,7 +178,7 @@ def unpack(packed, n, out):
             position += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def pack(full, n, out):
     """Write the lower triangle of `full` into `out`."""
     position = 0

@@ -28,7 +28,7 @@ ZERO_COLUMN = 1e-4  # what may stand beside a zero pivot, as a correlation: |ent
 NEGATIVE_PIVOT = -1e-9  # below this share the matrix is not a covariance
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def weights(setup, n):
     """(s, w_m, w_0, w_e) of the rule in n dimensions: Lambda = w_0 mu mu' + w_e sum (e_i - c)(e_i - c)'.
 
@@ -47,7 +47,7 @@ def weights(setup, n):
     return math.sqrt(n), 0.5 / n, 0.0, 1.0 / n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def square_root(cov, n, root):
     """Lower root of a semi-definite matrix: a zero pivot gives a zero column. False if it is indefinite."""
     for j in range(n):
@@ -79,7 +79,7 @@ def square_root(cov, n, root):
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def regress(setup, plus, minus, n, m, root, mean, matrix, residual, linear):
     """Mean offset (m,), regression matrix (m, n) and residual covariance Lambda (m, m) from the points.
 
@@ -114,7 +114,7 @@ def regress(setup, plus, minus, n, m, root, mean, matrix, residual, linear):
             matrix[r, j] = total / pivot if pivot != 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def wrap(angle):
     """The same angle in [-pi, pi)."""
     if -math.pi <= angle < math.pi:
@@ -123,7 +123,7 @@ def wrap(angle):
     return -math.pi if wrapped >= math.pi else wrapped  # NaN stays NaN
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def left_jacobian(angle):
     """(s, c) of V(angle) = [[s, -c], [c, s]], the position part of the SE(2) exponential."""
     if abs(angle) < 1e-4:
@@ -132,7 +132,7 @@ def left_jacobian(angle):
     return math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def congruence(matrix, cov, m, n, out):
     """out = matrix cov matrix' for small blocks, symmetric to the last bit."""
     product = np.empty((m, n))

@@ -25,7 +25,7 @@ from kalmap.kernels.layout import (
 from kalmap.kernels.regression import congruence, left_jacobian, regress, square_root, weights, wrap
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sighting_covariance(setup, distance, out):
     """(range, bearing) noise from the sensor class's sigmas, at this distance in m."""
     out[0, 0] = setup[SIGMA_RANGE] ** 2 + (setup[RATIO_RANGE] * distance) ** 2
@@ -33,7 +33,7 @@ def sighting_covariance(setup, distance, out):
     out[0, 1] = out[1, 0] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def first_bad_sighting(z):
     """Index of the first sighting that is not finite or has a negative range; -1 if there is none."""
     for m in range(len(z)):
@@ -42,7 +42,7 @@ def first_bad_sighting(z):
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill_noises(setup, z, out):
     """out (M, 2, 2): the noise of every sighting of z (M, 2). Returns the first bad sighting's index, or -1."""
     for m in range(len(z)):
@@ -50,7 +50,7 @@ def fill_noises(setup, z, out):
     return first_bad_sighting(z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def first_bad_noise(noises):
     """Index of the first (2, 2) that is not finite or not positive semi-definite; -1 if there is none."""
     for m in range(len(noises)):
@@ -61,7 +61,7 @@ def first_bad_noise(noises):
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def predict_sighting(setup, pose, x, y):
     """(range, bearing) of the point (x, y) from the mounted sensor."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -71,7 +71,7 @@ def predict_sighting(setup, pose, x, y):
     return math.hypot(forward, left), wrap(math.atan2(left, forward) - setup[MOUNT_HEADING])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sighting_jacobian(setup, pose, x, y, matrix):
     """d (range, bearing) / d (pose, landmark), analytically: (2, 5)."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -91,7 +91,7 @@ def _sighting_jacobian(setup, pose, x, y, matrix):
         matrix[r, 2] = gx * dy - gy * dx
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sighting_at(setup, pose, x, y, deviation):
     """(range, bearing) with (pose, landmark) deviated; in invariant coordinates by a twist about the robot."""
     if setup[INVARIANT] == 0.0:
@@ -103,7 +103,7 @@ def _sighting_at(setup, pose, x, y, deviation):
     return predict_sighting(setup, pose, x + s * ux + v * uy, y - v * ux + s * uy)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def to_twist(cov, dx, dy):
     """Change a (pose, landmark) covariance in place from additive errors to twists about the robot.
 
@@ -117,7 +117,7 @@ def to_twist(cov, dx, dy):
         cov[k, 4] -= dx * cov[k, 2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def regress_sighting(setup, pose, x, y, cov, predicted, matrix, residual):
     """Predicted (range, bearing), regression matrix on the additive (pose, landmark) errors, and Lambda.
 
@@ -155,7 +155,7 @@ def regress_sighting(setup, pose, x, y, cov, predicted, matrix, residual):
     return OK
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _landmark_jacobian(setup, pose, distance, bearing, matrix):
     """d landmark / d (pose, range, bearing), analytically: (2, 5). Also returns the landmark."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -170,7 +170,7 @@ def _landmark_jacobian(setup, pose, distance, bearing, matrix):
     return pose[0] + from_x, pose[1] + from_y
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def regress_landmark(setup, pose, z, cov, noise, landmark, matrix, residual):
     """Where a first sighting z = (range, bearing) puts its landmark: mean, matrix (2, 5) and Lambda.
 
@@ -210,7 +210,7 @@ def regress_landmark(setup, pose, z, cov, noise, landmark, matrix, residual):
     return OK
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sighting_block(packed, index, out):
     """The (pose, landmark) block (5, 5) of the packed covariance; `index` is where the landmark begins."""
     position = 0
@@ -229,7 +229,7 @@ def sighting_block(packed, index, out):
             out[3 + k, 3 + r] = packed[start + index + k]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def innovations(setup, mean, packed, z, noises, indices, squared, log_volume):
     """Mahalanobis distance squared and ln det S of every sighting with every candidate landmark.
 

@@ -25,7 +25,7 @@ from kalmap.kernels.regression import congruence, left_jacobian, wrap
 from kalmap.kernels.sensing import first_bad_noise, regress_landmark, regress_sighting, sighting_block
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residuals):
     """Regress every sighting of a frame on its own (pose, landmark) block, all at the same prior.
 
@@ -45,7 +45,7 @@ def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residua
     return OK
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gather_rows(packed, n, indices, rows):
     """Rows of P in one sweep: two for each landmark of `indices`, then three of the pose; (2 M + 3, >= n).
 
@@ -73,7 +73,7 @@ def _gather_rows(packed, n, indices, rows):
                 rows[2 * m + 1, i] = packed[base + indices[m] + 1]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _fill_gain_rows(packed, n, indices, matrices, rows, work):
     """work[2 m + r, :n] = A_m P. rows: work space for the rows of P, at least (2 M + 3, n)."""
     _gather_rows(packed, n, indices, rows)
@@ -89,7 +89,7 @@ def _fill_gain_rows(packed, n, indices, matrices, rows, work):
                 row[i] = a * x_row[i] + b * y_row[i] + c * turn_row[i] + d * first[i] + e * second[i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _innovation_root(indices, matrices, noises, work, root):
     """Cholesky root of S = A P A' + noise from the rows A P in `work`. False if S is not positive definite."""
     k = 2 * len(indices)
@@ -112,7 +112,7 @@ def _innovation_root(indices, matrices, noises, work, root):
     return True
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _whiten(root, k, n, work, negated, innovation, correction):
     """work <- L^-1 work, innovation <- L^-1 innovation, correction <- work' innovation. Returns the NIS.
 
@@ -141,7 +141,7 @@ def _whiten(root, k, n, work, negated, innovation, correction):
     return nis
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _correct_mean(setup, mean, n, correction, shift):
     """Apply the correction; in invariant coordinates leave a = J (x+ - x-) of the positions in `shift`."""
     d = 3 + int(setup[BIAS_COUNT])
@@ -162,7 +162,7 @@ def _correct_mean(setup, mean, n, correction, shift):
     mean[2] = wrap(mean[2])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, left, right):
     """One joint update with M regressed sightings. Returns (status, NIS).
 
@@ -199,7 +199,7 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
     return OK, nis
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
     """Inflate the noise of sightings that contradict the map until their innovation lies on the gate.
 
@@ -227,7 +227,7 @@ def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
             noises[m, 1, 1] += factor * s11
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
     """Regress and apply a frame's matched sightings, jointly or one after the other. Returns (status, NIS)."""
     count = len(indices)
@@ -256,14 +256,14 @@ def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
     return OK, nis
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def flush_and_update(setup, mean, packed, n, phi, z, indices, noises, left, right):
     """Carry the waiting motion `phi` to the map, then `update_frame`: one call from Python instead of two."""
     transform_leading(packed, n, len(phi), phi)
     return update_frame(setup, mean, packed, n, z, indices, noises, left, right)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def append_landmark(mean, packed, n, landmark, matrix, noise, residual):
     """Append a landmark regressed on (pose, range, bearing): O(n). The buffers must have room. Returns n + 2."""
     for r in range(2):
@@ -286,13 +286,13 @@ def append_landmark(mean, packed, n, landmark, matrix, noise, residual):
     return n + 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def append_frame(setup, mean, packed, n, z, noises):
     """Found a landmark for every sighting of z. Returns (status, new n)."""
     if first_bad_noise(noises) >= 0:
         return INNOVATION_NOT_POSITIVE, n
     landmark, matrix, residual = np.empty(2), np.empty((2, 5)), np.empty((2, 2))
-    cov = np.empty((3, 3))
+    before, cov = n, np.empty((3, 3))
     for i in range(3):
         for j in range(i + 1):
             cov[i, j] = packed[i * (i + 1) // 2 + j]
@@ -300,6 +300,10 @@ def append_frame(setup, mean, packed, n, z, noises):
     for m in range(len(z)):
         status = regress_landmark(setup, mean, z[m], cov, noises[m], landmark, matrix, residual)
         if status != OK:
-            return status, n
+            return status, before
+        if not (math.isfinite(landmark[0]) and math.isfinite(landmark[1])):
+            return NOT_FINITE, before
         n = append_landmark(mean, packed, n, landmark, matrix, noises[m], residual)
+        if not math.isfinite(packed[n * (n + 1) // 2 - 1] + packed[n * (n - 1) // 2 - 1]):
+            return NOT_FINITE, before
     return OK, n

@@ -19,7 +19,7 @@ class Odometry(msgspec.Struct, frozen=True, gc=False):
         rate rad/s; or dx m, dy m, dtheta rad.
     durations: (T,) s, how long each sample holds. Zero or more.
     covariance: (T, c, c) where the log itself states the noise of each sample, else None.
-    record: where in the file the block's first sample stands (row from 1), for messages; 0 unknown.
+    record, file: where the block's first sample stands (row from 1) and in which file, for messages.
     """
 
     time: float
@@ -27,6 +27,7 @@ class Odometry(msgspec.Struct, frozen=True, gc=False):
     durations: np.ndarray
     covariance: np.ndarray | None = None
     record: int = 0
+    file: str = ""
 
 
 class Sightings(msgspec.Struct, frozen=True, gc=False):
@@ -37,7 +38,7 @@ class Sightings(msgspec.Struct, frozen=True, gc=False):
     ids: (M,) int64 identity as the log gives it, -1 where it does not say; None if it never says.
     covariance: (M, 2, 2) of (range, bearing) where the log states it, else None.
     attributes: name -> (M,) further measurements (trunk diameter m, reflectivity, ...).
-    record: where in the file the frame begins (row from 1), for messages; 0 unknown.
+    record, file: where the frame begins (row from 1) and in which file, for messages.
     """
 
     time: float
@@ -46,6 +47,7 @@ class Sightings(msgspec.Struct, frozen=True, gc=False):
     covariance: np.ndarray | None = None
     attributes: dict[str, np.ndarray] | None = None
     record: int = 0
+    file: str = ""
 
 
 class Scan(msgspec.Struct, frozen=True, gc=False):
@@ -60,6 +62,7 @@ class Scan(msgspec.Struct, frozen=True, gc=False):
     bearings: np.ndarray
     intensities: np.ndarray | None = None
     record: int = 0
+    file: str = ""
 
 
 class Fix(msgspec.Struct, frozen=True, gc=False):
@@ -73,6 +76,7 @@ class Fix(msgspec.Struct, frozen=True, gc=False):
     y: float
     heading: float = float("nan")
     record: int = 0
+    file: str = ""
 
 
 Event = Odometry | Sightings | Scan | Fix

@@ -111,12 +111,12 @@ def run(
     `error`. progress: called with the time reached, about a hundred times a second at most. reckon: integrate
     the odometry alone beside the filter. Ctrl-C ends the run with what there is.
     """
-    warm_up(slam)
     loop = _Loop(slam, log, tolerant, reckon)
     error: KalmapError | None = None
     interrupted = False
     shown = 0.0
     try:
+        warm_up(slam)
         for event in log.open(loop.skip if tolerant else None):
             loop.take(event)
             if progress is not None and (now := time.perf_counter()) - shown > 0.01:
@@ -199,12 +199,13 @@ class _Loop:
     def _refused(self, event: object, problem: EventError) -> None:
         """Say where in the file the event came from; skip it or end the run."""
         record = getattr(event, "record", 0)
+        file = getattr(event, "file", "") or self.log.source
         field = problem.field or type(event).__name__.lower()
         if self.tolerant:
-            self.skip(Skipped(file=self.log.source, record=record, field=field, problem=str(problem)))
+            self.skip(Skipped(file=file, record=record, field=field, problem=str(problem)))
             return
         text = problem.problem if problem.time is None else f"t = {problem.time:.6g} s: {problem.problem}"
-        raise LogError(text, file=self.log.source, record=record or None, field=field) from problem
+        raise LogError(text, file=file, record=record or None, field=field) from problem
 
     def outcome(self, error: KalmapError | None, interrupted: bool) -> Outcome:
         """Everything kept so far."""
