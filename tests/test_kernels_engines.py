@@ -188,17 +188,21 @@ def test_outliers_are_inflated_alike(invariant, sequential):
 
 @pytest.mark.parametrize("size", [0.5, 5.0, 50.0])
 def test_an_outlier_ends_on_the_gate(size):
-    """Oracle: the definition: inside the gate nothing changes,
-    outside S is scaled so that the NIS is the gate."""
+    """Oracle: the definition. S is scaled so that the distance is the gate, hence the gain and with it the
+    correction by gate / d^2; inside nothing changes. The NIS that is told is the one before."""
     rng, sensor = np.random.default_rng(5), msgspec.structs.replace(MOUNTED, outlier_gate=0.99)
     belief = random_belief(rng)
     z, indices = frame(rng, belief, 1, 0.0)
     z[0, 0] += size
     _, plain, _, _ = engines("jacobian", False)
     gated = CompiledEngine(motions(0)["velocity-steering"], sensor, LINEARISERS["jacobian"], False, False)
-    nis = plain.update(copy_belief(belief), z, indices, MOUNTED.covariance(z))
+    prior, other = belief.mean[: belief.n].copy(), copy_belief(belief)
+    nis = plain.update(other, z, indices, MOUNTED.covariance(z))
     got = gated.update(belief, z, indices, MOUNTED.covariance(z))
-    np.testing.assert_allclose(got, min(nis, -2.0 * np.log(0.01)), rtol=1e-9)
+    np.testing.assert_allclose(got, nis, rtol=1e-9)
+    share = min(1.0, -2.0 * np.log(0.01) / nis)
+    moved, whole = belief.mean[: belief.n] - prior, other.mean[: belief.n] - prior
+    np.testing.assert_allclose(moved, share * whole, rtol=1e-9, atol=1e-12)
 
 
 @BOTH

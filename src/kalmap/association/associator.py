@@ -38,6 +38,11 @@ class Predicted(Protocol):
 class Associator(Protocol):
     """Decides which landmark each sighting of a frame belongs to."""
 
+    @property
+    def uses_ids(self) -> bool:
+        """Whether it goes by the log's identities: then landmarks carry them, and there is nothing to score."""
+        ...
+
     def start(self) -> Any:
         """A fresh memory: what the associator carries from frame to frame. Made of plain dicts and lists."""
         ...

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -15,6 +15,8 @@ UNIDENTIFIED = -1
 
 class KnownIds(msgspec.Struct, frozen=True, tag=True):
     """Sightings with the same id are the same landmark; id -1 means unidentified and is left unused."""
+
+    uses_ids: ClassVar[bool] = True
 
     def start(self) -> Any:
         """Memory: id -> index."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ class Likelihood(msgspec.Struct, frozen=True, tag=True):
     new_gate: float = 0.999999
     confirm: int = 1
     confirm_window: int = 30
+    uses_ids: ClassVar[bool] = False
 
     def start(self) -> Any:
         """Memory: for each landmark [sightings, frames in view] until it is confirmed, then None."""

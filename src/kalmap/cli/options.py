@@ -48,6 +48,9 @@ def gather(given: dict[str, Any]) -> tuple[Settings, dict[str, Any]]:
     for key in ("scope", "coordinates", "use"):
         if given[key] is not None:
             flags.setdefault("filter", {})[key] = given[key]
+    named = given.get("filter_name") or (settings.get("filter") or {}).get("name")
+    if given["scope"] == "full" and named is None:
+        flags["filter"]["name"] = "cdkf"  # the default filter's full form
     if given.get("filter_name") is not None:
         flags.setdefault("filter", {})["name"] = given["filter_name"]
     if given["association"] is not None:

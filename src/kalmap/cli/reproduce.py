@@ -41,8 +41,7 @@ def command(
     try:
         bailey_map("example_webmap")
     except LogError as problem:
-        if not quiet:
-            say(f"{problem}: the package's own course stands in, and the paper's numbers do not apply")
+        say(f"{problem}: the package's own course stands in, and the paper's numbers do not apply")
         maps = None
     with progress_bar(f"reproduce {paper}", quiet) as show:
         reproduction = reproduce_crcdkf(

@@ -7,11 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from kalmap.data import open_log, read_map
 from kalmap.perception import ReflectorDetector
 from kalmap.records import ConfigError, Log, LogError
-from kalmap.simulate import World, bailey_world, simulate, world_by_name
+from kalmap.simulate import (
+    World,
+    bailey_world,
+    simulate,
+    world_by_name,
+)
+from kalmap.simulate import (
+    random_landmarks as random_landmarks_in,
+)
 
 BAILEY_FOLDER = "bailey_sim"
 
@@ -56,15 +65,43 @@ def _world_of_map(path: Path) -> World | None:
 
 
 def _changed(world: World, overrides: dict[str, Any]) -> World:
+    overrides = dict(overrides)
+    drawn = {key: overrides.pop(key) for key in ("random_landmarks", "area", "map_seed") if key in overrides}
+    if drawn:
+        world = _redrawn(world, **drawn)
     known = {field for field in world.__struct_fields__ if field not in ("name", "landmarks", "waypoints")}
     for key, value in overrides.items():
         if key not in known:
-            raise ConfigError(f"world.{key}: no such setting; there are {', '.join(sorted(known))}")
+            raise ConfigError(f"world.{key}: no such setting; there are {', '.join(sorted(known | _DRAWN))}")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ConfigError(f"world.{key}: expected a number, got {value!r}")
         if isinstance(getattr(world, key), int) and not isinstance(value, int):
             raise ConfigError(f"world.{key}: expected a whole number, got {value!r}")
     return msgspec.structs.replace(world, **overrides)
+
+
+_DRAWN = {"random_landmarks", "area", "map_seed"}
+
+
+def _redrawn(world: World, random_landmarks: Any = None, area: Any = None, map_seed: Any = 1) -> World:
+    """The world with its landmarks replaced by uniformly drawn ones, by default around the way-points."""
+    if not isinstance(random_landmarks, int) or isinstance(random_landmarks, bool) or random_landmarks < 0:
+        raise ConfigError("world.random_landmarks: expected a number of landmarks, 0 or more")
+    if not isinstance(map_seed, int) or isinstance(map_seed, bool) or map_seed < 0:
+        raise ConfigError("world.map_seed: expected a whole number, 0 or more")
+    if area is None:
+        low, high = (
+            world.waypoints.min(axis=0) - world.max_range,
+            world.waypoints.max(axis=0) + world.max_range,
+        )
+        area = [*low.tolist(), *high.tolist()]
+    numbers = isinstance(area, list) and len(area) == 4 and all(isinstance(v, (int, float)) for v in area)
+    if not numbers or not (area[0] < area[2] and area[1] < area[3]):
+        raise ConfigError("world.area: expected [x_low, y_low, x_high, y_high] in m")
+    x_low, y_low, x_high, y_high = map(float, area)
+    box = (x_low, y_low, x_high, y_high)
+    landmarks = random_landmarks_in(random_landmarks, box, np.random.default_rng(map_seed))
+    return msgspec.structs.replace(world, landmarks=landmarks)
 
 
 def open_source(
@@ -76,4 +113,7 @@ def open_source(
         if robot is not None or variant is not None:
             raise ConfigError(f"{text} is a world: --robot and --variant are for logs")
         return simulate(world, seed)
-    return open_log(text, robot=robot, variant=variant, detector=ReflectorDetector())
+    detector = ReflectorDetector()
+    log = open_log(text, robot=robot, variant=variant, detector=detector)
+    settings = {"robot": robot, "variant": variant, "detector": msgspec.to_builtins(detector)}
+    return msgspec.structs.replace(log, settings=settings)

@@ -178,7 +178,12 @@ def _split(samples: _Samples, seen: np.ndarray) -> _Samples:
     starts = np.where(first, samples.starts[owners], np.append(-np.inf, ends[:-1]))
     whole = np.bincount(owners, minlength=len(samples.ends))[owners] == 1
     durations = np.where(whole, samples.durations[owners], ends - starts)
-    covariance = None if samples.covariance is None else samples.covariance[owners]
+    covariance = None
+    if (
+        samples.covariance is not None
+    ):  # white within the sample: what is shorter is noisier, the whole is as it was
+        share = np.divide(samples.durations[owners], durations, out=np.ones(len(owners)), where=durations > 0)
+        covariance = samples.covariance[owners] * share[:, None, None]
     values, records = samples.values[owners], samples.records[owners]
     return _Samples(starts, ends, durations, values, covariance, records, samples.file)
 

@@ -90,6 +90,11 @@ def _config(
     if not layout.names(raw, "config", "association", "method"):
         chosen = msgspec.structs.replace(config.association, method="known" if identified else "likelihood")
         config = msgspec.structs.replace(config, association=chosen)
+    if not layout.names(raw, "config", "motion", "sample_time"):
+        period = _sample_time(folder / layout.ODOMETRY)
+        config = msgspec.structs.replace(
+            config, motion=msgspec.structs.replace(config.motion, sample_time=period)
+        )
     if not layout.names(raw, "config", "motion", "model"):
         return msgspec.structs.replace(config, motion=msgspec.structs.replace(config.motion, model=models[0]))
     if config.motion.model not in models:
@@ -99,6 +104,16 @@ def _config(
             field="config.motion.model",
         )
     return config
+
+
+def _sample_time(path: Path) -> float:
+    """The odometry's median period, s, for which the sigmas are meant: a sample split at a sighting then
+    keeps its noise. 0 where a record says itself how long it lasted, or no period can be told.
+    """
+    odometry = _odometry(path)
+    steps = np.diff(odometry.times[np.isfinite(odometry.times)])
+    steps = steps[steps > 0.0]
+    return 0.0 if odometry.durations is not None or not len(steps) else float(np.median(steps))
 
 
 def _lines(path: Path) -> tuple[list[list[str]], list[int]]:

@@ -16,6 +16,8 @@ from kalmap.records import Estimate, Landmarks, Log, Reference, Trace
 
 Metrics = dict[str, float | int | None]
 
+_FEWEST_ALIGNED = 3  # an alignment makes the error of one or two positions vanish
+
 _STAY: Motion = (0.0, np.zeros(2))
 
 
@@ -135,6 +137,8 @@ def _pose_metrics(matched: trajectory.Matched, reference: Reference, options: Op
     """Position and heading: the main numbers, and ATE before and after alignment."""
     elsewhere = reference.frame != "map"
     moved = trajectory.aligned(matched)[0] if elsewhere else matched
+    if elsewhere and len(matched) < _FEWEST_ALIGNED:
+        moved = trajectory.Matched(matched.rows[:0], matched.estimated[:0], matched.reference[:0])
     heading = trajectory.rms(trajectory.heading_errors(moved))
     metrics: Metrics = {
         "aligned": elsewhere,
@@ -143,7 +147,7 @@ def _pose_metrics(matched: trajectory.Matched, reference: Reference, options: Op
         "heading_rmse_deg": None if heading is None else math.degrees(heading),
     }
     for name, align_first in (("ate", False), ("ate_aligned", True)):
-        known = align_first or not elsewhere
+        known = len(matched) >= _FEWEST_ALIGNED if align_first else not elsewhere
         ate = trajectory.absolute_trajectory_error(matched, align_first=align_first, trim=options.trim)
         for key in ("rmse", "mean", "median", "max", "trimmed_rmse"):
             metrics[f"{name}_{key}_m"] = getattr(ate, key) if ate and known else None
@@ -153,9 +157,12 @@ def _pose_metrics(matched: trajectory.Matched, reference: Reference, options: Op
 def _nees_metrics(
     trace: Trace, coordinates: str, matched: trajectory.Matched, reference: Reference
 ) -> Metrics:
-    """NEES needs true poses of the vehicle's own origin, in the frame in which the estimate began."""
+    """NEES needs true poses of the vehicle's own origin, in the frame in which the estimate began.
+
+    A batch solution is no truth: it is an estimate from the same data, with errors of its own.
+    """
     mean = inside = low = high = None
-    if reference.frame == "map" and not np.any(reference.point):
+    if reference.kind == "truth" and reference.frame == "map" and not np.any(reference.point):
         covariances = trace.covariances[matched.rows]
         nees = consistency.pose_nees(matched.reference, matched.estimated, covariances, coordinates)
         mean = consistency.mean_nees(nees)

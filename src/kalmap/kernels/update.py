@@ -203,11 +203,12 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
 def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
     """Inflate the noise of sightings that contradict the map until their innovation lies on the gate.
 
+    Returns by how much their distances squared exceeded the gate in all, so that the NIS can still tell of them.
     gate: Mahalanobis distance squared. noises: (M, 2, 2), sensor noise plus Lambda, changed in place by
     (d^2 / gate - 1) S: a redescending weight, so that a gross error moves the state less the grosser it is, while
     a true contradiction (a loop closed late) still pulls, frame after frame.
     """
-    cov, spread = np.empty((5, 5)), np.empty((2, 2))
+    cov, spread, excess = np.empty((5, 5)), np.empty((2, 2)), 0.0
     for m in range(len(indices)):
         sighting_block(packed, indices[m], cov)
         congruence(matrices[m], cov, 2, 5, spread)
@@ -220,11 +221,13 @@ def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
         nu0, nu1 = innovation[2 * m], innovation[2 * m + 1]
         squared = (s11 * nu0 * nu0 - 2.0 * s01 * nu0 * nu1 + s00 * nu1 * nu1) / determinant
         if squared > gate:
+            excess += squared - gate
             factor = squared / gate - 1.0
             noises[m, 0, 0] += factor * s00
             noises[m, 0, 1] += factor * s01
             noises[m, 1, 0] += factor * s01
             noises[m, 1, 1] += factor * s11
+    return excess
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -248,7 +251,7 @@ def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
                 for j in range(2):
                     r[m, i, j] += noises[first + m, i, j]
         if setup[OUTLIER_GATE] > 0.0:
-            inflate_outliers(setup[OUTLIER_GATE], packed, indices[first:last], a, v, r)
+            nis += inflate_outliers(setup[OUTLIER_GATE], packed, indices[first:last], a, v, r)
         status, part = apply_frame(setup, mean, packed, n, indices[first:last], a, v, r, left, right)
         if status != OK:
             return status, nis

@@ -25,10 +25,11 @@ BIAS_CODES = {
 
 
 class Bias(msgspec.Struct, frozen=True):
-    """A constant error estimated as a state: its name and the prior's standard deviation (prior mean 0)."""
+    """A constant error estimated as a state: its name, the prior's standard deviation and its mean."""
 
     name: str
     sigma: float
+    mean: float = 0.0
 
 
 class MotionModel(Protocol):
@@ -254,7 +255,14 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
     for name in config.biases:
         if name not in sigmas:
             raise ConfigError(f"motion.biases: {name!r} is none of {', '.join(sigmas)}")
-    biases = tuple(Bias(name, sigmas[name]) for name in config.biases)
+    means = {
+        "steering_offset": float(np.deg2rad(config.mean_steering_offset_deg)),
+        "steering_scale": config.mean_steering_scale,
+        "speed_scale": config.mean_speed_scale,
+        "turn_rate_offset": float(np.deg2rad(config.mean_turn_rate_offset_deg)),
+        "turn_rate_scale": config.mean_turn_rate_scale,
+    }
+    biases = tuple(Bias(name, sigmas[name], means[name]) for name in config.biases)
     speed: dict[str, Any] = {
         "sigma_speed": config.sigma_speed,
         "ratio_speed": config.sigma_speed_ratio,

@@ -36,7 +36,9 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sample_time: s. The sigmas hold for samples of this length and a sample of length dt gets the
         variance times sample_time / dt (white noise in time). 0: they hold for every sample as it is.
     exact_standstill: a sample that reads exactly no motion is believed and adds no noise.
-    biases: which constant errors are estimated as states, with these prior standard deviations.
+    biases: which constant errors are estimated as states. prior_*: their standard deviations before the run;
+        mean_*: what a vehicle of this class is known to have, usually 0. Scales are shares: -0.1 makes the
+        reading a tenth shorter.
     """
 
     model: MotionName = "velocity-steering"
@@ -58,6 +60,11 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     prior_speed_scale: Positive = 0.05
     prior_turn_rate_offset_deg: Positive = 1.0
     prior_turn_rate_scale: Positive = 0.1
+    mean_steering_offset_deg: float = 0.0
+    mean_steering_scale: float = 0.0
+    mean_speed_scale: float = 0.0
+    mean_turn_rate_offset_deg: float = 0.0
+    mean_turn_rate_scale: float = 0.0
 
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

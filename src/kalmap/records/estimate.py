@@ -102,6 +102,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     data_sha256: dict[str, str]
     seed: int
     config: Any
+    log_settings: Any = None
     started: str
     finished: str
     completed: bool

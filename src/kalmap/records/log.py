@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -52,6 +53,7 @@ class Log(msgspec.Struct, frozen=True):
     references: what to compare with, the first one first.
     start: (3,) pose at the first event, in the map frame; start_covariance (3, 3).
     files: every file that the events depend on, for the manifest's data hash.
+    settings: what the log itself was opened or simulated with, for the manifest (variant, robot, world, ...).
     truth_ids: True if `ids` of the sightings are the truth about association.
     """
 
@@ -64,6 +66,7 @@ class Log(msgspec.Struct, frozen=True):
     start_covariance: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((3, 3)))
     files: tuple[str, ...] = ()
     truth_ids: bool = True
+    settings: dict[str, Any] = msgspec.field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Event]:
         return self.open(None)

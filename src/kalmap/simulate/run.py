@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from kalmap.geometry.angles import wrap
@@ -47,7 +50,20 @@ def simulate(world: World, seed: int) -> Log:
         defaults=world.defaults(),
         open=partial(_replay, tuple(_events(world, times, controls, frames))),
         references=(reference,),
+        settings=_settings(world, seed),
     )
+
+
+def _settings(world: World, seed: int) -> dict[str, Any]:
+    """What the log can be simulated from again: every number, and a hash of the map."""
+    scalars = {
+        name: value
+        for name, value in msgspec.structs.asdict(world).items()
+        if not isinstance(value, np.ndarray)
+    }
+    drawn = np.ascontiguousarray(world.landmarks, dtype=float).tobytes()
+    drawn += np.ascontiguousarray(world.waypoints, dtype=float).tobytes()
+    return {"world": scalars, "seed": seed, "map_sha256": hashlib.sha256(drawn).hexdigest()}
 
 
 def _replay(events: tuple[Event, ...], skip: Callable[[Skipped], None] | None) -> Iterator[Event]:

@@ -245,7 +245,7 @@ class GeneralEngine:
             matrices = np.array([regression.matrix for _, regression in seen])
             total = noises[part] + np.array([regression.residual for _, regression in seen])
             if self._gate > 0.0:
-                update.inflate_outliers(
+                nis += update.inflate_outliers(
                     self._gate, belief.packed, indices[part], matrices, innovation.ravel(), total
                 )
             status, value = update.apply_frame(

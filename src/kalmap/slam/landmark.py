@@ -68,7 +68,7 @@ class LandmarkSlam:
         pose, covariance = _checked_start(start, start_covariance)
         biases = self.motion.biases
         self._belief = Belief(
-            np.concatenate([pose, np.zeros(len(biases))]),
+            np.concatenate([pose, [bias.mean for bias in biases]]),
             _block_diagonal(covariance, np.array([bias.sigma**2 for bias in biases])),
         )
         self._memory: Any = self.association.start()
@@ -181,7 +181,7 @@ class LandmarkSlam:
         self.frame_association = association
         self._apply(frame, association, z, noises)
         self._memory = memory
-        if not isinstance(self.association, KnownIds):
+        if not self.association.uses_ids:
             self._label(association.matched)
         for index in association.confirmed:
             self._on_trial.discard(self._ids[index])
@@ -202,7 +202,7 @@ class LandmarkSlam:
         if fresh:
             self._engine.append(self._belief, *_pick(z, fresh), *_pick(noises, fresh))
             for m in fresh:
-                known = isinstance(self.association, KnownIds) and frame.ids is not None
+                known = self.association.uses_ids and frame.ids is not None
                 self._ids.append(int(frame.ids[m]) if known else self._founded)  # type: ignore[index]
                 self._counts.append(1)
                 if association.on_trial:

@@ -135,12 +135,13 @@ def warm_up(slam: LandmarkSlam) -> None:
         slam.motion,
         slam.sensor,
         slam.lineariser,
+        slam.association,
         scope=slam.scope,
         coordinates=slam.coordinates,
         use=slam.use,
     )
     motion = np.full((2, slam.motion.control_size), 1e-3)
-    for number in range(2):
+    for number in range(3):
         twin.step(Odometry(float(number), motion, np.full(2, 0.01)))
         twin.step(Sightings(float(number), np.array([[5.0, 0.1]]), ids=np.zeros(1, dtype=np.int64)))
 
@@ -156,7 +157,7 @@ class _Loop:
         self.skipped: list[Skipped] = []
         self.truth: list[np.ndarray] = []
         self.labels: list[np.ndarray] = []
-        self.scored = log.truth_ids and type(slam.association).__name__ != "KnownIds"
+        self.scored = log.truth_ids and not slam.association.uses_ids
         self.reckoner = _reckoner(slam, log) if reckon else None
 
     def skip(self, record: Skipped) -> None:

@@ -19,6 +19,7 @@ from kalmap.data.results import check_result_folder, write_manifest, write_resul
 from kalmap.evaluation import consistency, trajectory
 from kalmap.geometry.alignment import apply
 from kalmap.geometry.angles import wrap
+from kalmap.geometry.se2 import quarter_turn, rotate
 from kalmap.records import Log, Manifest, Reference, RunConfig
 from kalmap.slam import Outcome
 from kalmap.study.cases import judge
@@ -69,6 +70,7 @@ def _into_map(reference: Reference, angle: float, translation: np.ndarray) -> Al
     back = -np.asarray(apply(-angle, np.zeros(2), translation[None]))[0]
     return Aligned(
         kind=reference.kind,
+        point=reference.point,
         path=apply(-angle, back, reference.positions),
         landmarks=apply(-angle, back, reference.landmarks),
     )
@@ -83,15 +85,24 @@ def _errors(
 ) -> Errors:
     """Estimate minus reference along the map's axes; the NEES where the reference needs no alignment."""
     covariances = outcome.trace.covariances[matched.rows]
+    covariances = _at_point(outcome.trace.poses[matched.rows], covariances, reference.point)
     values = moved.estimated - moved.reference
     values[:, :2] = apply(-angle, np.zeros(2), values[:, :2])
     values[:, 2] = wrap(values[:, 2])
     nees = np.full(len(matched), np.nan)
-    if reference.frame == "map" and not reference.point.any():
+    if reference.kind == "truth" and reference.frame == "map" and not reference.point.any():
         poses = outcome.trace.poses[matched.rows]
         nees = consistency.pose_nees(matched.reference, poses, covariances, outcome.estimate.coordinates)
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     return Errors(outcome.trace.times[matched.rows], values, np.sqrt(np.maximum(variances, 0.0)), nees)
+
+
+def _at_point(poses: np.ndarray, covariances: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) with position errors of a point (forward, left; m) of the vehicle instead of its origin's."""
+    lever = quarter_turn(rotate(poses[:, 2], np.asarray(point, dtype=float)[None]))
+    change = np.broadcast_to(np.eye(3), covariances.shape).copy()
+    change[:, :2, 2] = lever
+    return change @ covariances @ np.swapaxes(change, 1, 2)
 
 
 def manifest_of(outcome: Outcome, log: Log, config: RunConfig, command: str, started: datetime) -> Manifest:
@@ -107,6 +118,7 @@ def manifest_of(outcome: Outcome, log: Log, config: RunConfig, command: str, sta
         data_sha256={Path(name).name: _hash(Path(name)) for name in log.files},
         seed=config.seed,
         config=msgspec.to_builtins(config),
+        log_settings=log.settings,
         started=started.isoformat(timespec="seconds"),
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
         completed=outcome.error is None and not outcome.interrupted,

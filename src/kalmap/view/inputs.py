@@ -5,16 +5,19 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
+from kalmap.geometry.se2 import rotate
 from kalmap.records import Estimate, Trace
 
 
 class Aligned(msgspec.Struct, frozen=True):
     """A reference, already moved into the estimate's frame.
 
-    kind: "truth", "gps", "batch" or "survey". path: (K, 2) m. landmarks: (M, 2) m.
+    kind: "truth", "gps", "batch" or "survey". path: (K, 2) m. landmarks: (M, 2) m. point: (2,) m, the point of
+    the vehicle (forward, left) that the path is of.
     """
 
     kind: str = "truth"
+    point: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(2))
     path: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
     landmarks: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
 
@@ -57,6 +60,14 @@ class RunView(msgspec.Struct, frozen=True):
     def start_time(self) -> float:
         """The clock's zero in every picture, s."""
         return float(self.trace.times[0]) if len(self.trace.times) else float(self.estimate.time)
+
+    def path(self) -> tuple[np.ndarray, str]:
+        """The estimated path (F, 2) of the point that the reference speaks of, and what to call it."""
+        poses = self.trace.poses
+        if self.reference is None or not self.reference.point.any():
+            return poses[:, :2], "estimated path"
+        moved = poses[:, :2] + rotate(poses[:, 2], self.reference.point[None])
+        return moved, f"estimated path of the {self.reference.kind} point"
 
     @property
     def title(self) -> str:

@@ -41,7 +41,7 @@ def map_limits(runs: list[RunView]) -> tuple[float, float, float, float]:
     """
     clouds = [np.zeros((0, 2))]
     for run in runs:
-        clouds += [run.trace.poses[:, :2], run.estimate.landmarks.positions, run.estimate.pose[None, :2]]
+        clouds += [run.path()[0], run.estimate.landmarks.positions, run.estimate.pose[None, :2]]
         if run.reference is not None:
             clouds += [run.reference.path, run.reference.landmarks]
     points = np.concatenate(clouds)
@@ -60,10 +60,10 @@ def draw_map(axes: Axes, run: RunView, limits: tuple[float, float, float, float]
     if run.reference is not None:
         _draw_reference(axes, run.reference)
     _draw_landmarks(axes, run.estimate.landmarks)
-    poses = run.trace.poses
-    if len(poses):
-        axes.plot(poses[:, 0], poses[:, 1], color=style.BLUE, label="estimated path", zorder=4)
-        axes.plot(*poses[0, :2], "o", ms=8, mfc="white", mec=style.BLUE, mew=1.6, label="start", zorder=6)
+    path, label = run.path()
+    if len(path):
+        axes.plot(path[:, 0], path[:, 1], color=style.BLUE, label=label, zorder=4)
+        axes.plot(*path[0], "o", ms=8, mfc="white", mec=style.BLUE, mew=1.6, label="start", zorder=6)
     else:
         axes.text(
             0.5, 0.96, "no path: the trace is empty", transform=axes.transAxes, ha="center", color=style.GREY
