@@ -75,6 +75,12 @@ class Belief:
         kernel.unpack(self.packed, self.robot, full)
         return full
 
+    def block(self, entries: np.ndarray) -> np.ndarray:
+        """(k, k) covariance of the entries (k,), a copy, without unpacking the rest."""
+        high = np.maximum(entries[:, None], entries[None])
+        low = np.minimum(entries[:, None], entries[None])
+        return self.packed[high * (high + 1) // 2 + low]
+
     def variances(self) -> np.ndarray:
         """The diagonal (n,), a copy; current without a flush."""
         i = np.arange(self.n)

@@ -103,18 +103,6 @@ def _add_row_end(packed, row, first, left, right, factor, rank):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def copy_row(packed, n, i, out):
-    """out[:n] = row i of the symmetric matrix."""
-    start = i * (i + 1) // 2
-    for j in range(i + 1):
-        out[j] = packed[start + j]
-    position = start + i
-    for j in range(i + 1, n):
-        position += j
-        out[j] = packed[position]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _transform_three(packed, n, phi):
     """`transform_leading` for d = 3, in registers: then the cache misses of several rows overlap."""
     a, b, c = phi[0, 0], phi[0, 1], phi[0, 2]

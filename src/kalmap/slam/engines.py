@@ -167,11 +167,8 @@ class GeneralEngine:
         """
         r, k = len(read), len(extra)
         rest = np.setdiff1d(np.arange(belief.n), read) if self.full else np.zeros(0, dtype=int)
-        covariance = (
-            belief.covariance() if self.full or read[-1] >= belief.robot else belief.robot_covariance()
-        )
         order = np.concatenate([read, rest])
-        block = covariance[np.ix_(order, order)]
+        block = belief.block(order)
         if self.invariant:
             landmarks = {
                 p: belief.mean[i : i + 2] for p, i in enumerate(order) if _starts_landmark(i, belief.robot)
