@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kalmap.kernels import controls as kernel
 from kalmap.kernels import layout, motion
 from slam_problems import controls, motions
 
@@ -25,7 +26,7 @@ def triple(control: np.ndarray) -> tuple[float, float, float]:
 
 
 def increment_at(setup: np.ndarray, corrected: np.ndarray, dt: float) -> np.ndarray:
-    return np.array(motion.increment(setup, *triple(corrected), dt))
+    return np.array(kernel.increment(setup, *triple(corrected), dt))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -37,10 +38,10 @@ def test_increments_and_noise_equal_the_numpy_models(name, biases):
     samples, durations = controls(rng, model, 20)
     for control, dt in zip(samples, durations, strict=True):
         bias = rng.normal(0, 0.05, biases)
-        got = motion.sample_increment(setup, triple(control), (0.0, 0.0, 0.0), bias, zero, dt)
+        got = kernel.sample_increment(setup, triple(control), (0.0, 0.0, 0.0), bias, zero, dt)
         np.testing.assert_allclose(got, model.increment(control, bias, dt), atol=1e-14)
         noise = np.zeros((model.control_size, model.control_size))
-        motion.control_covariance(setup, triple(control), dt, noise)
+        kernel.control_covariance(setup, triple(control), dt, noise)
         np.testing.assert_allclose(noise, model.control_covariance(control, dt), rtol=1e-13)
 
 
@@ -50,7 +51,7 @@ def test_noise_at_standstill_equals_the_numpy_model(name, exact):
     """Oracle: the numpy twin, and zero where a standstill is believed exactly."""
     model = msgspec.structs.replace(motions(0)[name], exact_standstill=exact)
     control, noise = np.zeros(model.control_size), np.ones((model.control_size, model.control_size))
-    motion.control_covariance(setup_of(model), triple(control), 0.1, noise)
+    kernel.control_covariance(setup_of(model), triple(control), 0.1, noise)
     np.testing.assert_allclose(noise, model.control_covariance(control, 0.1), rtol=1e-13)
     assert not exact or not noise.any()
 
@@ -68,7 +69,7 @@ def test_increment_jacobian(name, speed, turn, dt):
     setup, c = setup_of(model), model.control_size
     control = np.array([speed, 0.3 * speed, turn]) if c == 3 else np.array([speed, turn])
     got = np.empty((3, c))
-    motion.increment_jacobian(setup, control, dt, got)
+    kernel.increment_jacobian(setup, control, dt, got)
     steps = 1e-5 * np.eye(c)
     expected = [
         (increment_at(setup, control + d, dt) - increment_at(setup, control - d, dt)) / 2e-5 for d in steps
@@ -83,7 +84,7 @@ def test_bias_jacobian(name, biases):
     rng, model = np.random.default_rng(7), motions(biases)[name]
     control = controls(rng, model, 1)[0][0]
     got = np.empty((model.control_size, biases))
-    motion.bias_jacobian(setup_of(model), control, model.control_size, got)
+    kernel.bias_jacobian(setup_of(model), control, model.control_size, got)
     steps = 1e-5 * np.eye(biases)
     expected = [(model.corrected(control, d) - model.corrected(control, -d)) / 2e-5 for d in steps]
     np.testing.assert_allclose(got, np.array(expected).T, atol=1e-9)
