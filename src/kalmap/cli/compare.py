@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from kalmap.cli.messages import say
 from kalmap.cli.options import gather, parse_robot, shared_options
 
 _SHOWN = (
@@ -117,9 +118,9 @@ def _seeds(
     from kalmap.cli.progress import progress_bar
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import find_world
-    from kalmap.data.native_map import write_atomically
     from kalmap.records import ConfigError, RunConfig
-    from kalmap.study import compare_seeds, paired_rows, parse_methods, runs_csv, summary_csv
+    from kalmap.study import compare_seeds, parse_methods
+    from kalmap.study.seeds_report import write_seeds
 
     settings, overrides = gather(given)
     world = find_world(text, overrides)
@@ -142,13 +143,14 @@ def _seeds(
             out=folder,
             progress=None if show is None else lambda done, total: show(done, total),
         )
-    write_atomically(folder / "runs.csv", runs_csv(result).encode())
-    write_atomically(folder / "summary.csv", summary_csv(result).encode())
+    paired = write_seeds(folder, result)
     if not given["quiet"]:
         for metric in ("position_rmse_m", "feature_rmse_m", "nees_mean"):
-            _paired(metric, paired_rows(result, metric))
+            _paired(metric, paired[metric])
         click.echo(f"written to {folder}")
-    return 0
+    for failure in result.failures():
+        say(f"error: {failure}")
+    return 2 if result.failures() else 0
 
 
 def _table(rows: list[tuple[str, dict[str, Any]]]) -> None:
