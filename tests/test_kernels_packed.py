@@ -30,8 +30,8 @@ def test_add_outer_equals_dense_for_every_size(rank):
 
 
 def test_add_outer_beyond_one_strip():
-    """Oracle: dense numpy at a size that needs several cache strips (512 columns each)."""
-    rng, n = np.random.default_rng(0), 1101
+    """Oracle: dense numpy at a size that needs two cache strips (2048 columns each)."""
+    rng, n = np.random.default_rng(0), 2101
     right = rng.standard_normal((8, n))
     buffer = np.zeros(n * (n + 1) // 2)
     packed.add_outer(buffer, n, -right, right, 8)
