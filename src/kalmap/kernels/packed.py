@@ -8,7 +8,7 @@ from numba import njit
 
 _FAST = {"contract", "reassoc", "nsz"}  # what vectorisation needs, NaN and inf kept honest
 _SMALL = 176  # below this size setting up a strip costs more than it saves
-_STRIP = 2048  # columns at a time: four rows stay in the second-level cache, and runs are long enough to prefetch
+_STRIP = 2048  # columns at a time: four rows fit the second-level cache, and runs are long enough to prefetch
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
