@@ -220,3 +220,12 @@ def test_compiled_regression_equals_its_numpy_twin(name, rank):
     np.testing.assert_allclose(f(mean) + offset, twin.mean, atol=1e-11)
     np.testing.assert_allclose(residual, twin.residual, atol=1e-11)
     np.testing.assert_allclose(matrix @ root, twin.matrix @ root, atol=1e-7)
+
+
+@pytest.mark.parametrize(("rule", "words"), [
+    (lambda: CentralDifference(h=0.0), "h: "), (lambda: Unscented(alpha=-1.0), "alpha: "),
+])  # fmt: skip
+def test_a_step_that_draws_no_points_is_refused(rule, words):
+    """Oracle: the definition; a spread of zero or less has no points."""
+    with pytest.raises(ValueError, match=words):
+        rule()

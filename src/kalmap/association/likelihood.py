@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
 
 from kalmap.association.associator import Predicted
+from kalmap.geometry.ellipses import chi_square_2
 from kalmap.records import NEW, SPURIOUS, Association, Sightings
-
-
-def chi_square_2(probability: float) -> float:
-    """Quantile of the chi-square distribution with two degrees of freedom, in closed form."""
-    return -2.0 * math.log1p(-probability)
 
 
 class Likelihood(msgspec.Struct, frozen=True, tag=True):

@@ -31,18 +31,16 @@ def command(
     Stopped, it goes on where it was when called again with the same folder. Exit code 1 if a claim does not hold.
     """
     from kalmap.cli.progress import progress_bar
-    from kalmap.cli.source import bailey_map
-    from kalmap.records import LogError
-    from kalmap.simulate.catalogue import Maps
-    from kalmap.study import reproduce_crcdkf
+    from kalmap.cli.source import data_root
+    from kalmap.study import bailey_maps, reproduce_crcdkf
 
     folder = out or Path(f"kalmap-reproduce-{paper}")
-    maps: Maps | None = bailey_map
-    try:
-        bailey_map("example_webmap")
-    except LogError as problem:
-        say(f"{problem}: the package's own course stands in, and the paper's numbers do not apply")
-        maps = None
+    maps = bailey_maps(data_root())
+    if maps is None:
+        say(
+            f"Bailey's map is not in {data_root()} (set KALMAP_DATA): the package's own course stands in, "
+            "and the paper's numbers do not apply"
+        )
     with progress_bar(f"reproduce {paper}", quiet) as show:
         reproduction = reproduce_crcdkf(
             folder,

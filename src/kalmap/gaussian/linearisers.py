@@ -104,6 +104,10 @@ class Unscented(msgspec.Struct, frozen=True, tag=True):
     code: ClassVar[int] = 1
     samples: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        if not self.alpha > 0.0:
+            raise ValueError(f"alpha: expected more than 0, got {self.alpha}")
+
     def rule(self) -> tuple[float, float, float]:
         """The three parameters that the kernels read."""
         return self.alpha, self.beta, float("nan") if self.kappa is None else self.kappa
@@ -126,6 +130,10 @@ class CentralDifference(msgspec.Struct, frozen=True, tag=True):
     h: float = 3.0**0.5
     code: ClassVar[int] = 2
     samples: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if not self.h > 0.0:
+            raise ValueError(f"h: expected a step above 0, got {self.h}")
 
     def rule(self) -> tuple[float, float, float]:
         """The three parameters that the kernels read."""

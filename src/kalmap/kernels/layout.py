@@ -20,7 +20,7 @@ RATIO_DISTANCE = 13
 SIGMA_ROTATION = 14
 RATIO_ROTATION = 15
 BIAS_COUNT = 16
-BIAS_CODE = 17  # up to MAX_BIASES codes follow
+BIAS_CODE = 17  # up to five codes follow; no model has more than three
 MOUNT_X = 22
 MOUNT_Y = 23
 MOUNT_HEADING = 24
@@ -31,8 +31,6 @@ SEQUENTIAL = 28
 OUTLIER_GATE = 29  # distance squared beyond which a sighting's noise is inflated; 0: never
 EXACT_STANDSTILL = 30  # a sample that reads no motion at all adds no noise
 SETUP_LENGTH = 32
-
-MAX_BIASES = 5
 
 JACOBIAN, UNSCENTED, CENTRAL_DIFFERENCE, CUBATURE = 0, 1, 2, 3
 

@@ -122,18 +122,23 @@ class _Biased(msgspec.Struct, frozen=True, kw_only=True):
             setup[layout.BIAS_CODE + i] = BIAS_CODES[bias.name]
 
 
-class VelocitySteering(_Biased, frozen=True, kw_only=True, tag=True):
+class _Steered(_Biased, frozen=True, kw_only=True):
+    """What the steered vehicles share. sigma_steering: rad."""
+
+    sigma_steering: float = float(np.deg2rad(3.0))
+    bias_names: ClassVar[tuple[str, ...]] = ("steering_offset", "steering_scale", "speed_scale")
+
+    def _turn_noise(self) -> tuple[float, float]:
+        return self.sigma_steering, 0.0
+
+
+class VelocitySteering(_Steered, frozen=True, kw_only=True, tag=True):
     """Bailey's vehicle: speed m/s of the front-wheel point and steering rad, one Euler step a sample.
 
     x += V dt cos(G + phi), y += V dt sin(G + phi), phi += V dt sin(G) / wheelbase.
     """
 
     wheelbase: float = 4.0
-    sigma_steering: float = float(np.deg2rad(3.0))
-    bias_names: ClassVar[tuple[str, ...]] = ("steering_offset", "steering_scale", "speed_scale")
-
-    def _turn_noise(self) -> tuple[float, float]:
-        return self.sigma_steering, 0.0
 
     def increment(self, control: np.ndarray, biases: np.ndarray, dt: float) -> np.ndarray:
         """(..., 2) -> (..., 3)."""
@@ -148,7 +153,7 @@ class VelocitySteering(_Biased, frozen=True, kw_only=True, tag=True):
         setup[layout.MOTION], setup[layout.WHEELBASE] = layout.MOTION_VELOCITY_STEERING, self.wheelbase
 
 
-class Ackermann(_Biased, frozen=True, kw_only=True, tag=True):
+class Ackermann(_Steered, frozen=True, kw_only=True, tag=True):
     """A car's rear-axle pose from the speed of one rear wheel and the steering angle, on exact arcs.
 
     v = v_encoder / (1 - encoder_offset / wheelbase tan(alpha)), turn rate v / wheelbase tan(alpha).
@@ -157,11 +162,6 @@ class Ackermann(_Biased, frozen=True, kw_only=True, tag=True):
 
     wheelbase: float = 2.83
     encoder_offset: float = 0.0
-    sigma_steering: float = float(np.deg2rad(3.0))
-    bias_names: ClassVar[tuple[str, ...]] = ("steering_offset", "steering_scale", "speed_scale")
-
-    def _turn_noise(self) -> tuple[float, float]:
-        return self.sigma_steering, 0.0
 
     def increment(self, control: np.ndarray, biases: np.ndarray, dt: float) -> np.ndarray:
         """(..., 2) -> (..., 3)."""

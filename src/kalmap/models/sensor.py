@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar, Protocol
 
 import msgspec
 import numpy as np
 
 from kalmap.geometry.angles import wrap
+from kalmap.geometry.ellipses import chi_square_2
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import layout
 from kalmap.records import SensorConfig
@@ -93,7 +93,7 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
 def outlier_distance(sensor: object) -> float:
     """The Mahalanobis distance squared of a sensor's outlier gate (two degrees of freedom); 0 if it has none."""
     probability = getattr(sensor, "outlier_gate", None)
-    return 0.0 if probability is None else -2.0 * math.log1p(-probability)
+    return 0.0 if probability is None else chi_square_2(probability)
 
 
 def sensor_from_config(config: SensorConfig) -> RangeBearing:

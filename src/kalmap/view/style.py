@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette: told apart by all common kinds of colour vision.
 BLACK, GREY = "#000000", "#7a7a7a"
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
-ORANGE, SKY, PURPLE, YELLOW = "#E69F00", "#56B4E9", "#CC79A7", "#F0E442"
+ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
 METHOD_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, BLACK, GREY)
 # Beyond the colours, and for print in grey, methods differ by their dashes too.
 METHOD_LINES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)))
