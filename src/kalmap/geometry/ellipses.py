@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -15,6 +16,18 @@ def chi_square_2(probability: float) -> float:
     if not 0.0 <= probability < 1.0:
         raise ValueError(f"a probability in [0, 1) is needed, not {probability}")
     return -2.0 * math.log1p(-probability)
+
+
+@functools.cache
+def chi_square(probability: float, degrees: int) -> float:
+    """The chi-square quantile with any degrees of freedom; 0 for probability 0 and infinity for 1."""
+    if probability >= 1.0:
+        return math.inf
+    if degrees == 2 or probability <= 0.0:
+        return chi_square_2(max(probability, 0.0))
+    from scipy.special import gammaincinv  # the quantile itself; scipy.stats takes a second to import
+
+    return 2.0 * float(gammaincinv(0.5 * degrees, probability))
 
 
 def ellipse_axes(covariances: np.ndarray, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
