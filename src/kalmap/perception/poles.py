@@ -65,4 +65,4 @@ def _intensities(scan: Scan) -> np.ndarray:
 
 def _sightings(scan: Scan, values: np.ndarray, reflectivity: np.ndarray, beams: np.ndarray) -> Sightings:
     attributes = {"reflectivity": reflectivity, "beams": beams}
-    return Sightings(scan.time, values, attributes=attributes, record=scan.record)
+    return Sightings(scan.time, values, attributes=attributes, scan=scan, record=scan.record)

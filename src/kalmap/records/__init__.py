@@ -2,21 +2,26 @@
 
 from kalmap.records.config import (
     AssociationConfig,
+    AttributeConfig,
     FilterConfig,
     MotionConfig,
+    PerceptionConfig,
     RunConfig,
     SensorConfig,
 )
+from kalmap.records.decisions import REASONS, Frame, Managed, Reason, Why
 from kalmap.records.errors import ConfigError, EstimationError, EventError, KalmapError, LogError
 from kalmap.records.estimate import NEW, SPURIOUS, Association, Estimate, Landmarks, Manifest, Trace
 from kalmap.records.events import Event, Fix, Odometry, Scan, Sightings
-from kalmap.records.log import Log, Reference, Skipped
+from kalmap.records.log import Log, Reference, SightingTruth, Skipped
 
 __all__ = [
     "NEW",
+    "REASONS",
     "SPURIOUS",
     "Association",
     "AssociationConfig",
+    "AttributeConfig",
     "ConfigError",
     "Estimate",
     "EstimationError",
@@ -24,18 +29,24 @@ __all__ = [
     "EventError",
     "FilterConfig",
     "Fix",
+    "Frame",
     "KalmapError",
     "Landmarks",
     "Log",
     "LogError",
+    "Managed",
     "Manifest",
     "MotionConfig",
     "Odometry",
+    "PerceptionConfig",
+    "Reason",
     "Reference",
     "RunConfig",
     "Scan",
     "SensorConfig",
+    "SightingTruth",
     "Sightings",
     "Skipped",
     "Trace",
+    "Why",
 ]

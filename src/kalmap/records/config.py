@@ -15,12 +15,17 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Probability = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 
 MotionName = Literal["velocity-steering", "ackermann", "unicycle", "increments"]
-BiasName = Literal["steering_offset", "steering_scale", "speed_scale", "turn_rate_offset", "turn_rate_scale"]
+BiasName = Literal[
+    "steering_offset", "steering_scale", "speed_scale", "turn_rate_offset", "turn_rate_scale", "course_offset"
+]
 FilterName = Literal["ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf"]
 Scope = Literal["full", "reduced"]
 Coordinates = Literal["additive", "invariant"]
 Use = Literal["joint", "sequential"]
-AssociationName = Literal["known", "likelihood"]
+AssociationName = Literal["known", "nearest", "likelihood", "jcbb", "mda", "djnn"]
+DetectorName = Literal["reflectors", "trees"]
+ManagementName = Literal["keep", "trial", "counter", "existence"]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -36,9 +41,10 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sample_time: s. The sigmas hold for samples of this length and a sample of length dt gets the
         variance times sample_time / dt (white noise in time). 0: they hold for every sample as it is.
     exact_standstill: a sample that reads exactly no motion is believed and adds no noise.
-    biases: which constant errors are estimated as states. prior_*: their standard deviations before the run;
-        mean_*: what a vehicle of this class is known to have, usually 0. Scales are shares: -0.1 makes the
-        reading a tenth shorter.
+    biases: which constant errors are estimated as states; "course_offset" is the angle between the way that the
+        vehicle goes and the sensor's straight ahead, which a sensor mounted askew has. prior_*: their standard
+        deviations before the run; mean_*: what a vehicle of this class is known to have, usually 0. Scales are
+        shares: -0.1 makes the reading a tenth shorter.
     """
 
     model: MotionName = "velocity-steering"
@@ -60,11 +66,13 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     prior_speed_scale: Positive = 0.05
     prior_turn_rate_offset_deg: Positive = 1.0
     prior_turn_rate_scale: Positive = 0.1
+    prior_course_offset_deg: Positive = 1.0
     mean_steering_offset_deg: float = 0.0
     mean_steering_scale: float = 0.0
     mean_speed_scale: float = 0.0
     mean_turn_rate_offset_deg: float = 0.0
     mean_turn_rate_scale: float = 0.0
+    mean_course_offset_deg: float = 0.0
 
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -73,8 +81,8 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     mount_x, mount_y: m, mount_heading_deg: the sensor in the vehicle's frame (forward, left).
     sigma_range: m; sigma_range_ratio: share of the range; the variances add. sigma_bearing_deg: deg.
     max_range: m. field_of_view_deg: the full angle, centred ahead of the sensor.
-    outlier_gate: probability; a sighting whose innovation lies outside it has its noise inflated until it lies on
-        it, so that a gross error does little. None: every sighting is taken at its word.
+    outlier_gate: probability; a sighting whose innovation lies outside it has its noise inflated until it lies
+        on it, so that a gross error does little. None: every sighting is taken at its word.
     """
 
     mount_x: float = 0.0
@@ -101,23 +109,87 @@ class FilterConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     use: Use = "joint"
 
 
+class AttributeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A further measurement that tells landmarks apart (trunk diameter, reflectivity, colour, class).
+
+    name: of the sightings' attribute. sigma, ratio: standard deviation of one measurement, absolute and as a
+    share of the value. classes: the values are labels, and a sighting shows its landmark's with probability
+    `sure`.
+    """
+
+    name: str
+    sigma: NonNegative = 0.1
+    ratio: NonNegative = 0.0
+    classes: bool = False
+    sure: Probability = 0.95
+
+
 class AssociationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How sightings find their landmarks.
 
-    method: "known" takes the log's ids; "likelihood" gates by Mahalanobis distance and takes the
-        one-to-one assignment of least normalised distance.
-    gate: probability inside which a pair is possible.
-    new_gate: probability beyond which, from every landmark, a sighting founds a new one; between
-        the two it is left unused.
-    confirm: sightings that a new landmark needs within `confirm_window` frames that could see it, or
-        it is removed again as spurious. 1 keeps all.
+    method: "known" takes the log's ids; the others go by place: "nearest" (each sighting for itself),
+        "likelihood" (best one-to-one), "jcbb" (largest jointly compatible set), "mda" (assignment over several
+        frames), "djnn" (nearest neighbour with the frame's common offset, tentative landmarks and a local
+        region).
+    gate: probability inside which a pair is possible. new_gate: probability beyond which, from every landmark,
+        a sighting founds a new one; between the two it is left unused. joint_gate: probability of the joint
+        test (jcbb).
+    extent: m, how far apart sightings of one landmark from different sides are, as a standard deviation, beside
+        the sensor's noise: the size of what is no point. It widens the gates only.
+    ambiguity: a match is taken only if the next best landmark's nu' S^-1 nu + ln det S is larger by this (4.6:
+        ten times less likely), given the frame's other matches; 0: the best is taken.
+    one_to_one: nearest only: no two sightings of a frame take the same landmark.
+    management: "keep" believes every landmark; "trial" those with `confirm` sightings in `confirm_window`
+        frames that could see them; "counter" counts sightings up and misses down, believes from `confirm` on
+        and removes at 0, also from the map; "existence" keeps a probability for each, and believes from
+        `existence` on. None: what the method has by itself (djnn: counter; mda: existence; the others: trial).
+    confirm: sightings (trial) or counter (counter) from which a landmark is believed; 1 believes at once.
+    merge: landmarks that turn out to be the same become one.
+    local: only landmarks near what the sensor sees take part. reliable_range: m, up to which a landmark that is
+        there is seen as a rule; None takes the sensor's range.
+    interference, widen: djnn only: cases 1 to 3, and the factor on the gate of case 4 (0: never).
+    window: mda only: frames decided together. detection: probability that a landmark in view is seen,
+        false_rate: expected false sightings a frame, new_rate: new landmarks a frame (mda; "existence"
+        estimates the first as it goes).
+    work: most nodes (jcbb) or iterations (mda) of a search.
+    attributes: used as an extra likelihood.
     """
 
     method: AssociationName = "known"
-    gate: Probability = 0.999
-    new_gate: Probability = 0.999999
-    confirm: Annotated[int, msgspec.Meta(ge=1)] = 1
+    gate: Share = 0.999
+    new_gate: Share = 0.999999
+    joint_gate: Share = 0.999
+    extent: NonNegative = 0.0
+    ambiguity: NonNegative = 0.0
+    one_to_one: bool = False
+    management: ManagementName | None = None
+    confirm: Annotated[int, msgspec.Meta(ge=1)] = 2
     confirm_window: Annotated[int, msgspec.Meta(ge=1)] = 30
+    existence: Probability = 0.97
+    merge: bool = True
+    local: bool = True
+    reliable_range: Positive | None = None
+    interference: bool = True
+    widen: NonNegative = 3.0
+    window: Annotated[int, msgspec.Meta(ge=2, le=5)] = 2
+    detection: Probability = 0.9
+    false_rate: Positive = 0.5
+    new_rate: Positive = 0.2
+    work: Annotated[int, msgspec.Meta(ge=1)] = 20_000
+    attributes: tuple[AttributeConfig, ...] = ()
+
+
+class PerceptionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How landmarks are found in laser scans, where a log has scans.
+
+    detector: "reflectors" (by intensity) or "trees" (round trunks by shape). max_range: m, beyond which nothing
+    is looked for. clearance: m, trees only: how far around a trunk nothing else may stand. None: the detector's
+    own.
+    """
+
+    detector: DetectorName = "reflectors"
+    max_range: Positive | None = None
+    clearance: NonNegative | None = None
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -127,5 +199,6 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     sensor: SensorConfig = SensorConfig()
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()
+    perception: PerceptionConfig = PerceptionConfig()
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
     tolerant: bool = False

@@ -8,6 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from kalmap.records.decisions import Why
+
 
 class Landmarks(msgspec.Struct, frozen=True):
     """The landmarks of a map.
@@ -72,16 +74,20 @@ class Association(msgspec.Struct, frozen=True, gc=False):
     """What an associator decided about one frame.
 
     matched: (M,) int64: the landmark's index in the map, `NEW` (found one) or `SPURIOUS` (leave unused).
-    on_trial: the landmarks that this frame founds stay out of the reported map until they are confirmed.
+    on_trial: the landmarks that this frame founds stay out of the map and correct nothing until they are confirmed.
     confirmed, retired: indices of landmarks that the associator now believes in, or wants removed.
-    why: a line for each sighting when asked for, for the audit trail.
+    merged: (kept, dropped) indices of landmarks that are one and the same.
+    change: what its memory takes in once the filter has carried this out; nobody else's business.
+    why: the reasons, if they were asked for.
     """
 
     matched: np.ndarray
     on_trial: bool = False
     confirmed: tuple[int, ...] = ()
     retired: tuple[int, ...] = ()
-    why: tuple[str, ...] = ()
+    merged: tuple[tuple[int, int], ...] = ()
+    change: Any = None
+    why: Why | None = None
 
 
 NEW = -1

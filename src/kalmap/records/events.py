@@ -30,26 +30,6 @@ class Odometry(msgspec.Struct, frozen=True, gc=False):
     file: str = ""
 
 
-class Sightings(msgspec.Struct, frozen=True, gc=False):
-    """Landmarks seen at one instant, in the sensor's frame.
-
-    time: s.
-    values: (M, 2) range m, bearing rad (0 ahead of the sensor, positive to the left).
-    ids: (M,) int64 identity as the log gives it, -1 where it does not say; None if it never says.
-    covariance: (M, 2, 2) of (range, bearing) where the log states it, else None.
-    attributes: name -> (M,) further measurements (trunk diameter m, reflectivity, ...).
-    record, file: where the frame begins (row from 1) and in which file, for messages.
-    """
-
-    time: float
-    values: np.ndarray
-    ids: np.ndarray | None = None
-    covariance: np.ndarray | None = None
-    attributes: dict[str, np.ndarray] | None = None
-    record: int = 0
-    file: str = ""
-
-
 class Scan(msgspec.Struct, frozen=True, gc=False):
     """One sweep of a laser scanner.
 
@@ -63,6 +43,28 @@ class Scan(msgspec.Struct, frozen=True, gc=False):
     intensities: np.ndarray | None = None
     record: int = 0
     file: str = ""
+
+
+class Sightings(msgspec.Struct, frozen=True, gc=False):
+    """Landmarks seen at one instant, in the sensor's frame.
+
+    time: s.
+    values: (M, 2) range m, bearing rad (0 ahead of the sensor, positive to the left).
+    ids: (M,) int64 identity as the log gives it, -1 where it does not say; None if it never says.
+    covariance: (M, 2, 2) of (range, bearing) where the log states it, else None.
+    attributes: name -> (M,) further measurements (trunk diameter m, reflectivity, ...).
+    scan: the sweep that the sightings were found in, where there is one: it tells what stood in the way.
+    record, file: where the frame begins (row from 1) and in which file, for messages.
+    """
+
+    time: float
+    values: np.ndarray
+    ids: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+    attributes: dict[str, np.ndarray] | None = None
+    record: int = 0
+    file: str = ""
+    scan: Scan | None = None
 
 
 class Fix(msgspec.Struct, frozen=True, gc=False):

@@ -42,6 +42,18 @@ class Reference(msgspec.Struct, frozen=True):
     landmarks: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
 
 
+class SightingTruth(msgspec.Struct, frozen=True):
+    """Which landmark each sighting really was, from outside: for logs whose sightings do not carry it themselves.
+
+    times: (K,) s, ascending; values: (K, 2) range m, bearing rad; ids: (K,) int64, 0 or more. A sighting of the log
+    is one of these if it was made at the same time and lies near it (`kalmap.evaluation.sighting_identities`).
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    ids: np.ndarray
+
+
 class Log(msgspec.Struct, frozen=True):
     """A log that can be iterated as often as wanted; each pass reads lazily from the start.
 
@@ -55,6 +67,9 @@ class Log(msgspec.Struct, frozen=True):
     files: every file that the events depend on, for the manifest's data hash.
     settings: what the log itself was opened or simulated with, for the manifest (variant, robot, world, ...).
     truth_ids: True if `ids` of the sightings are the truth about association.
+    false_ids: True if a sighting with id -1 is known to be no landmark (clutter, something that moves); False if -1
+        only means that nobody says.
+    sighting_truth: identities from outside, where the sightings carry none.
     """
 
     name: str
@@ -66,6 +81,8 @@ class Log(msgspec.Struct, frozen=True):
     start_covariance: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((3, 3)))
     files: tuple[str, ...] = ()
     truth_ids: bool = True
+    false_ids: bool = False
+    sighting_truth: SightingTruth | None = None
     settings: dict[str, Any] = msgspec.field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Event]:
