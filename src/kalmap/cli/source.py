@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 
 from kalmap.data import open_log, read_map
-from kalmap.perception import ReflectorDetector
 from kalmap.records import ConfigError, Log, LogError
 from kalmap.simulate import (
     World,
@@ -69,7 +68,7 @@ def _changed(world: World, overrides: dict[str, Any]) -> World:
     drawn = {key: overrides.pop(key) for key in ("random_landmarks", "area", "map_seed") if key in overrides}
     if drawn:
         world = _redrawn(world, **drawn)
-    known = {field for field in world.__struct_fields__ if field not in ("name", "landmarks", "waypoints")}
+    known = {field for field in world.__struct_fields__ if isinstance(getattr(world, field), (int, float))}
     for key, value in overrides.items():
         if key not in known:
             raise ConfigError(f"world.{key}: no such setting; there are {', '.join(sorted(known | _DRAWN))}")
@@ -113,7 +112,5 @@ def open_source(
         if robot is not None or variant is not None:
             raise ConfigError(f"{text} is a world: --robot and --variant are for logs")
         return simulate(world, seed)
-    detector = ReflectorDetector()
-    log = open_log(text, robot=robot, variant=variant, detector=detector)
-    settings = {"robot": robot, "variant": variant, "detector": msgspec.to_builtins(detector)}
-    return msgspec.structs.replace(log, settings=settings)
+    log = open_log(text, robot=robot, variant=variant)
+    return msgspec.structs.replace(log, settings={"robot": robot, "variant": variant})

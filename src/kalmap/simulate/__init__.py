@@ -1,5 +1,15 @@
-"""Worlds with a known truth: landmark maps, a driven course, noisy odometry and sightings."""
+"""Worlds with a known truth: landmark maps, a driven course, noisy odometry, and sightings or scans."""
 
+from kalmap.simulate.breakers import (
+    breaker_world,
+    clusters_world,
+    clutter_world,
+    djnn_world,
+    doubles_world,
+    grove_world,
+    missed_world,
+    orchard_world,
+)
 from kalmap.simulate.catalogue import world_by_name, world_names
 from kalmap.simulate.courses import (
     bailey_world,
@@ -10,16 +20,33 @@ from kalmap.simulate.courses import (
     wide_world,
 )
 from kalmap.simulate.drive import Drive, drive
+from kalmap.simulate.movers import mover_tracks
+from kalmap.simulate.raycast import SICK, URG, Scanner, cast, cast_hits, noisy
 from kalmap.simulate.run import simulate
 from kalmap.simulate.world import World
 
 __all__ = [
+    "SICK",
+    "URG",
     "Drive",
+    "Scanner",
     "World",
     "bailey_world",
+    "breaker_world",
+    "cast",
+    "cast_hits",
+    "clusters_world",
+    "clutter_world",
     "course_world",
+    "djnn_world",
+    "doubles_world",
     "drive",
+    "grove_world",
     "lawn_world",
+    "missed_world",
+    "mover_tracks",
+    "noisy",
+    "orchard_world",
     "random_landmarks",
     "same_world",
     "simulate",

@@ -8,6 +8,16 @@ from collections.abc import Callable
 import numpy as np
 
 from kalmap.records import ConfigError
+from kalmap.simulate.breakers import (
+    breaker_world,
+    clusters_world,
+    clutter_world,
+    djnn_world,
+    doubles_world,
+    grove_world,
+    missed_world,
+    orchard_world,
+)
 from kalmap.simulate.courses import (
     HARD_NOISE,
     bailey_world,
@@ -22,14 +32,28 @@ Maps = Callable[[str], tuple[np.ndarray, np.ndarray]]
 
 BAILEY_MAP = "example_webmap"
 
-_KINDS = {"course": course_world, "same": same_world, "wide": wide_world, "lawn": lawn_world}
 # far beyond what a covariance of all features fits into
 _MOST_LANDMARKS = 1_000_000
+_KINDS = {"course": course_world, "same": same_world, "wide": wide_world, "lawn": lawn_world}
+# here <N> is no number of features, and what is too much the world itself says
+_DISTURBED: dict[str, Callable[[int], World]] = {"djnn": djnn_world, "clutter": clutter_world}
+_SINGLE = {
+    "missed-35": missed_world,
+    "doubles-35": doubles_world,
+    "orchard": orchard_world,
+    "clusters": clusters_world,
+    "breaker": breaker_world,
+    "grove": grove_world,
+}
 
 
 def world_names() -> list[str]:
-    """The names that `world_by_name` knows, the default first; `<N>` stands for a number of features."""
-    return ["course-35", "course-70", "bailey-35", "bailey-70", *(f"{kind}-<N>" for kind in _KINDS)]
+    """The names that `world_by_name` knows, the default first.
+
+    `<N>` stands for a number: of features, of movers in `djnn-<N>`, of false sightings a frame in `clutter-<N>`.
+    """
+    plain = ["course-35", "course-70", "bailey-35", "bailey-70", *(f"{kind}-<N>" for kind in _KINDS)]
+    return [*plain, "djnn-10", "djnn-50", "clutter-5", *(f"{kind}-<N>" for kind in _DISTURBED), *_SINGLE]
 
 
 def world_by_name(name: str, maps: Maps | None = None) -> World:
@@ -39,6 +63,10 @@ def world_by_name(name: str, maps: Maps | None = None) -> World:
     has twice the control noise (the papers' set b). `same-<N>`, `wide-<N>` and `lawn-<N>` grow: see
     `same_world`, `wide_world`, `lawn_world`. `bailey-35` and `bailey-70` are the standard map of
     Bailey and Nieto's simulator, the second with 35 features more and twice the control noise.
+
+    The others are made to break data association, each in its own way, which its function in `breakers` tells:
+    `djnn-<N>` (`djnn_world`: 252 features, N objects that move), `clutter-<N>` (N false sightings a frame),
+    `missed-35`, `doubles-35`, `orchard`, `clusters`, `breaker`, and `grove`, whose log holds laser scans.
 
     maps: given a map's name ("example_webmap") returns its landmarks (N, 2) and way-points (K, 2);
         needed for the Bailey worlds only, whose map is not part of this package.
@@ -56,7 +84,11 @@ def world_by_name(name: str, maps: Maps | None = None) -> World:
         return bailey_world(landmarks, waypoints, extra=35, name=name, **HARD_NOISE)
     if name == "course-70":
         return course_world(70, **HARD_NOISE)
+    if name in _SINGLE:
+        return _SINGLE[name]()
     match = re.fullmatch(r"([a-z]+)-([0-9]{1,7})", name)
+    if match is not None and match[1] in _DISTURBED:
+        return _DISTURBED[match[1]](int(match[2]))
     if match is None or match[1] not in _KINDS or int(match[2]) > _MOST_LANDMARKS:
         raise ConfigError(f"unknown world {name!r}; known are {', '.join(world_names())}")
     return _KINDS[match[1]](int(match[2]))

@@ -43,19 +43,14 @@ def course_world(n: int = 35, *, name: str | None = None, **overrides: Any) -> W
     """
     if n < 1:
         raise ConfigError(f"a course needs at least one landmark, got {n}")
-    curve, normals = _course(4096)
-    index = np.floor(4096 * np.mod(0.5 + _GOLDEN * np.arange(n), 1.0)).astype(int)
-    draws = np.random.default_rng(np.random.SeedSequence((_COURSE_SEED, 1))).random((n, 2))
-    offsets = (4.0 + 18.0 * draws[:, 0]) * np.where(draws[:, 1] < 0.5, -1.0, 1.0)
-    landmarks = curve[index] + offsets[:, None] * normals[index]
-    return _world(name or f"course-{n}", landmarks, _course_waypoints(), overrides)
+    return make_world(name or f"course-{n}", along_course(n), course_waypoints(), overrides)
 
 
 def same_world(n: int, *, name: str | None = None, **overrides: Any) -> World:
     """The same course with n features uniform over a box around it: more features, more of them in view."""
-    waypoints = _course_waypoints()
-    landmarks = random_landmarks(n, _around(waypoints), _stream(2, n))
-    return _world(name or f"same-{n}", landmarks, waypoints, overrides)
+    waypoints = course_waypoints()
+    landmarks = random_landmarks(n, _around(waypoints), map_stream(2, n))
+    return make_world(name or f"same-{n}", landmarks, waypoints, overrides)
 
 
 def wide_world(n: int, *, name: str | None = None, **overrides: Any) -> World:
@@ -63,9 +58,9 @@ def wide_world(n: int, *, name: str | None = None, **overrides: Any) -> World:
     if n < 5:
         raise ConfigError(f"wide-{n}: the course is too small to drive; take 5 landmarks or more")
     scale = math.sqrt(n / 35.0)
-    waypoints = _course_waypoints()
-    landmarks = scale * random_landmarks(n, _around(waypoints), _stream(3, n))
-    return _world(name or f"wide-{n}", landmarks, scale * waypoints, overrides)
+    waypoints = course_waypoints()
+    landmarks = scale * random_landmarks(n, _around(waypoints), map_stream(3, n))
+    return make_world(name or f"wide-{n}", landmarks, scale * waypoints, overrides)
 
 
 def lawn_world(n: int, *, name: str | None = None, **overrides: Any) -> World:
@@ -76,11 +71,11 @@ def lawn_world(n: int, *, name: str | None = None, **overrides: Any) -> World:
     side = math.sqrt(250.0 * n) if n > 0 else 0.0
     if side < 45.0:
         raise ConfigError(f"lawn-{n}: the lawn is too small to turn on; take 9 landmarks or more")
-    landmarks = random_landmarks(n, (-15.0, -15.0, side + 15.0, side + 15.0), _stream(4, n))
+    landmarks = random_landmarks(n, (-15.0, -15.0, side + 15.0, side + 15.0), map_stream(4, n))
     ends = [(15.0, side - 15.0), (side - 15.0, 15.0)]
     lanes = [(x, 40.0 * lane) for lane in range(int(side // 40.0) + 1) for x in ends[lane % 2]]
     waypoints = np.array([*lanes, (0.0, side / 2.0), (10.0, 10.0)])
-    return _world(name or f"lawn-{n}", landmarks, waypoints, {"laps": 1, **overrides})
+    return make_world(name or f"lawn-{n}", landmarks, waypoints, {"laps": 1, **overrides})
 
 
 def bailey_world(
@@ -103,16 +98,27 @@ def bailey_world(
     return World(landmarks=landmarks, waypoints=np.asarray(waypoints, dtype=float), **fields)
 
 
-def _world(name: str, landmarks: np.ndarray, waypoints: np.ndarray, overrides: dict[str, Any]) -> World:
+def make_world(name: str, landmarks: np.ndarray, waypoints: np.ndarray, overrides: dict[str, Any]) -> World:
+    """A world with its places in whole millimetres; overrides: fields of `World`."""
     fields = {"name": name, "landmarks": np.round(landmarks, 3), "waypoints": np.round(waypoints, 3)}
     return World(**{**fields, **overrides})
 
 
-def _stream(kind: int, n: int) -> np.random.Generator:
+def map_stream(kind: int, n: int) -> np.random.Generator:
+    """Where a kind of world with n features gets its random numbers from; every kind has a number of its own."""
     return np.random.default_rng(np.random.SeedSequence((_COURSE_SEED, kind, n)))
 
 
-def _course(count: int) -> tuple[np.ndarray, np.ndarray]:
+def along_course(n: int) -> np.ndarray:
+    """(n, 2) m: places 4 to 22 m to either side of the course, evenly spread along it whatever n is."""
+    curve, normals = course_curve(4096)
+    index = np.floor(4096 * np.mod(0.5 + _GOLDEN * np.arange(n), 1.0)).astype(int)
+    draws = np.random.default_rng(np.random.SeedSequence((_COURSE_SEED, 1))).random((n, 2))
+    offsets = (4.0 + 18.0 * draws[:, 0]) * np.where(draws[:, 1] < 0.5, -1.0, 1.0)
+    return np.asarray(curve[index] + offsets[:, None] * normals[index])
+
+
+def course_curve(count: int) -> tuple[np.ndarray, np.ndarray]:
     """`count` points at equal distances along the closed course, and its unit normals (to the left).
 
     A wavy circle r(a) = 1 + sum b_k cos(k a + p_k): one radius for every angle, so it cannot cross
@@ -132,9 +138,9 @@ def _course(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([points.real, points.imag]), np.column_stack([normals.real, normals.imag])
 
 
-def _course_waypoints() -> np.ndarray:
+def course_waypoints() -> np.ndarray:
     """(17, 2) m, at equal distances; the start itself is the last one and closes the lap."""
-    curve, _ = _course(_COURSE_WAYPOINTS * 64)
+    curve, _ = course_curve(_COURSE_WAYPOINTS * 64)
     return np.roll(curve[::64], -1, axis=0)
 
 

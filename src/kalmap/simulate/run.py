@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from kalmap.geometry.angles import wrap
-from kalmap.records import Event, Log, Odometry, Reference, Sightings, Skipped
+from kalmap.records import Event, Log, Odometry, Reference, Scan, Sightings, Skipped
 from kalmap.simulate.drive import Drive, drive
-from kalmap.simulate.sense import visible
-from kalmap.simulate.world import World
+from kalmap.simulate.movers import mover_tracks
+from kalmap.simulate.scans import scans_of
+from kalmap.simulate.sightings import sightings_of
+from kalmap.simulate.streams import streams
+from kalmap.simulate.world import SCANNERS, World
 
 
 def simulate(world: World, seed: int) -> Log:
@@ -23,19 +24,45 @@ def simulate(world: World, seed: int) -> Log:
 
     The log alternates one `Odometry` block (the control steps since the last look; speed m/s and steering
     rad with noise, while the true vehicle obeys the noise-free ones) and one `Sightings` frame, which may
-    be empty; ids are the rows of `world.landmarks`. A last block without a frame follows if the drive
-    does not end on one. The reference holds the true pose at t = 0 and after every control step.
+    be empty. Ids are the rows of `world.landmarks`, also for doubles, and -1 for movers and clutter, which
+    are known to be no landmark (`false_ids`). A last block without a frame follows if the drive does not
+    end on one. The reference holds the true pose at t = 0 and after every control step.
 
-    The same world and seed give the same log. Odometry and sightings draw from independent streams
-    spawned from `SeedSequence(seed)`, so worlds that differ only in their sigmas share their random
-    numbers. Raises `KalmapError` if the drive never arrives.
+    A world with a scanner gives a `Scan` instead of each `Sightings`, without ids; the log's
+    `sighting_truth` then lists, for each scan, the trunks that a beam hits.
+
+    The same world and seed give the same log. Every source of randomness has its own stream
+    (`kalmap.simulate.streams`), so worlds that differ only in their sigmas, or in their clutter, share their
+    random numbers. Raises `KalmapError` if the drive never arrives.
     """
     course = drive(world)
-    control_stream, sight_stream = np.random.SeedSequence(seed).spawn(2)
-    controls = _noisy_controls(world, course, np.random.default_rng(control_stream))
-    frames = _noisy_sightings(world, course, np.random.default_rng(sight_stream))
+    drawn = streams(seed)
+    controls = _noisy_controls(world, course, drawn["controls"])
     times = world.dt * np.arange(len(course.poses))
-    reference = Reference(
+    looks, look_times = (
+        column[world.observe_every :: world.observe_every] for column in (course.poses, times)
+    )
+    tracks = mover_tracks(world, seed, len(looks))
+    frames: Sequence[Sightings | Scan]
+    truth = None
+    if world.scanner is None:
+        frames = sightings_of(world, looks, look_times, tracks, drawn)
+    else:
+        frames, truth = scans_of(world, SCANNERS[world.scanner], looks, look_times, tracks, drawn["beams"])
+    return Log(
+        name=world.name,
+        source=f"world:{world.name} seed:{seed}",
+        defaults=world.defaults(),
+        open=partial(_replay, tuple(_events(world, times, controls, frames))),
+        references=(_reference(world, course, times),),
+        settings=_settings(world, seed),
+        false_ids=True,
+        sighting_truth=truth,
+    )
+
+
+def _reference(world: World, course: Drive, times: np.ndarray) -> Reference:
+    return Reference(
         frame="map",
         kind="truth",
         times=times,
@@ -44,14 +71,6 @@ def simulate(world: World, seed: int) -> Log:
         landmark_ids=np.arange(len(world.landmarks), dtype=np.int64),
         landmarks=np.array(world.landmarks, dtype=float),
     )
-    return Log(
-        name=world.name,
-        source=f"world:{world.name} seed:{seed}",
-        defaults=world.defaults(),
-        open=partial(_replay, tuple(_events(world, times, controls, frames))),
-        references=(reference,),
-        settings=_settings(world, seed),
-    )
 
 
 def _settings(world: World, seed: int) -> dict[str, Any]:
@@ -59,10 +78,12 @@ def _settings(world: World, seed: int) -> dict[str, Any]:
     scalars = {
         name: value
         for name, value in msgspec.structs.asdict(world).items()
-        if not isinstance(value, np.ndarray)
+        if name not in ("landmarks", "waypoints", "radii")
     }
     drawn = np.ascontiguousarray(world.landmarks, dtype=float).tobytes()
     drawn += np.ascontiguousarray(world.waypoints, dtype=float).tobytes()
+    if world.radii is not None:
+        drawn += np.ascontiguousarray(world.radii, dtype=float).tobytes()
     return {"world": scalars, "seed": seed, "map_sha256": hashlib.sha256(drawn).hexdigest()}
 
 
@@ -78,33 +99,15 @@ def _noisy_controls(world: World, course: Drive, rng: np.random.Generator) -> np
     return exact + sigmas * rng.standard_normal(exact.shape)
 
 
-def _noisy_sightings(
-    world: World, course: Drive, rng: np.random.Generator
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Values (M, 2) and ids (M,) of every frame, in order."""
-    looks = course.poses[world.observe_every :: world.observe_every]
-    frame, feature, exact = visible(
-        looks, np.asarray(world.landmarks, dtype=float), world.max_range, world.field_of_view_deg
-    )
-    sigmas = np.array([world.sigma_range, np.radians(world.sigma_bearing_deg)])
-    values = exact + sigmas * rng.standard_normal(exact.shape)
-    values[:, 0] = np.abs(values[:, 0])  # a feature at the sensor's feet: no scanner gives a negative range
-    values[:, 1] = wrap(values[:, 1])
-    feature = feature.astype(np.int64)
-    edges = np.searchsorted(frame, np.arange(len(looks) + 1))
-    return [(values[a:b], feature[a:b]) for a, b in pairwise(edges)]
-
-
 def _events(
-    world: World, times: np.ndarray, controls: np.ndarray, frames: list[tuple[np.ndarray, np.ndarray]]
+    world: World, times: np.ndarray, controls: np.ndarray, frames: Sequence[Sightings | Scan]
 ) -> Iterator[Event]:
     block = world.observe_every
     durations = np.full(block, float(world.dt))
-    for number, (values, ids) in enumerate(frames):
+    for number, frame in enumerate(frames):
         first, end = number * block, (number + 1) * block
-        time = float(times[end])
-        yield Odometry(time, controls[first:end], durations, record=first + 1)
-        yield Sightings(time, values, ids, record=number + 1)
+        yield Odometry(frame.time, controls[first:end], durations, record=first + 1)
+        yield frame
     first = len(frames) * block
     if first < len(controls):
         yield Odometry(

@@ -17,17 +17,20 @@ def visible(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which features are in view from which pose, and the exact range and bearing to them.
 
-    poses (F, 3), landmarks (N, 2); a feature is in view if its range is below `max_range` (m) and its
-    bearing strictly inside the field of view (at 180 degrees: the open half plane ahead; at 360: all).
+    poses (F, 3), landmarks (N, 2), or (F, N, 2) where they move from pose to pose; a feature is in view if
+    its range is below `max_range` (m) and its bearing strictly inside the field of view (at 180 degrees: the
+    open half plane ahead; at 360: all).
     Returns frame (M,) int64, feature (M,) int64, and range m and bearing rad (M, 2), ordered by frame and
     then by feature.
     """
     found = []
-    rows = max(1, _PAIRS // max(1, len(landmarks)))
+    moving = landmarks.ndim == 3
+    rows = max(1, _PAIRS // max(1, landmarks.shape[-2]))
     for first in range(0, len(poses), rows):
         part = poses[first : first + rows]
-        dx = landmarks[None, :, 0] - part[:, 0, None]
-        dy = landmarks[None, :, 1] - part[:, 1, None]
+        there = landmarks[first : first + rows] if moving else landmarks[None]
+        dx = there[:, :, 0] - part[:, 0, None]
+        dy = there[:, :, 1] - part[:, 1, None]
         frame, feature = np.nonzero(dx * dx + dy * dy < max_range**2)
         dx, dy = dx[frame, feature], dy[frame, feature]
         bearing = wrap(np.arctan2(dy, dx) - part[frame, 2])

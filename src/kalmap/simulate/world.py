@@ -1,13 +1,22 @@
-"""What a simulated world consists of: features, way-points, a vehicle and a sensor."""
+"""What a simulated world consists of: features, way-points, a vehicle, a sensor, and what confuses it."""
 
 from __future__ import annotations
 
 import math
+import sys
 
 import msgspec
 import numpy as np
 
-from kalmap.records import ConfigError, MotionConfig, RunConfig, SensorConfig
+from kalmap.records import (
+    AssociationConfig,
+    ConfigError,
+    MotionConfig,
+    PerceptionConfig,
+    RunConfig,
+    SensorConfig,
+)
+from kalmap.simulate.raycast import SICK, URG
 
 _POSITIVE = (
     "speed",
@@ -20,9 +29,20 @@ _POSITIVE = (
     "field_of_view_deg",
     "sigma_range",
     "sigma_bearing_deg",
+    "mover_speed",
+    "mover_radius",
 )
-_NOT_NEGATIVE = ("sigma_speed", "sigma_steering_deg")
+_NOT_NEGATIVE = ("sigma_speed", "sigma_steering_deg", "clutter", "sigma_beam")
 _COUNTS = ("observe_every", "laps")
+_PROBABILITIES = ("detection_probability", "doubles")
+# far beyond what any frame holds, and what still fits into memory
+_MOST = {"movers": 10_000, "clutter": 1_000}
+
+# m; among trees that stand as close as two metres a park's three would leave most of them out
+_CLEARANCE = 1.0
+
+SCANNERS = {"sick": SICK, "urg": URG}
+"""The scanners that a world can have, by name."""
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -39,7 +59,24 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sigma_speed m/s, sigma_steering_deg, sigma_range m, sigma_bearing_deg: standard deviations of the
         noise of one control sample and one sighting.
 
-    Raises `ConfigError` for wrong shapes and for values that no vehicle or sensor can have.
+    What breaks data association; all off by default:
+
+    movers: how many pedestrians walk about among the features and are sighted like them. They start anywhere,
+        turn slowly and at random, and are thrown back at the borders of the box that holds the features.
+        mover_speed: m/s. mover_radius: m, for scanners.
+    clutter: mean number of false sightings in a frame, a Poisson number, uniform in range and bearing.
+    detection_probability: that what is in view is sighted; of every feature and mover in every frame by itself.
+    doubles: probability that a sighted feature gives a second sighting in the frame, with its own noise.
+
+    Whole scans instead of sightings:
+
+    scanner: None, or one of `SCANNERS`: its beams are cast, so that things stand in each other's way and trunks are
+        thick. max_range and field_of_view_deg may narrow it. radii: (N,) m, the trunks'. sigma_beam: m, noise of
+        one beam; sigma_range and sigma_bearing_deg are then what may be expected of a trunk's centre as a
+        detector finds it.
+
+    Raises `ConfigError` for wrong shapes, for values that no vehicle or sensor can have, and for a scanner with
+    clutter, doubles or a detection probability, which are for sightings only.
     """
 
     name: str
@@ -59,29 +96,26 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sigma_steering_deg: float = 3.0
     sigma_range: float = 0.1
     sigma_bearing_deg: float = 1.0
+    movers: int = 0
+    mover_speed: float = 1.4
+    mover_radius: float = 0.25
+    clutter: float = 0.0
+    detection_probability: float = 1.0
+    doubles: float = 0.0
+    scanner: str | None = None
+    radii: np.ndarray | None = None
+    sigma_beam: float = 0.01
 
     def __post_init__(self) -> None:
-        for field, least in (("landmarks", 0), ("waypoints", 1)):
-            points = getattr(self, field)
-            if np.ndim(points) != 2 or np.shape(points)[1] != 2 or len(points) < least:
-                raise ConfigError(f"world {self.name}: {field} must be (n, 2), got {np.shape(points)}")
-            if not np.isfinite(points).all():
-                raise ConfigError(f"world {self.name}: {field} must be finite")
-        for field in _POSITIVE + _NOT_NEGATIVE:
-            value = getattr(self, field)
-            if not math.isfinite(value) or value < 0 or (value == 0 and field in _POSITIVE):
-                sign = "positive" if field in _POSITIVE else "zero or more"
-                raise ConfigError(f"world {self.name}: {field} must be {sign}, got {value}")
-        for field in _COUNTS:
-            if getattr(self, field) < 1:
-                raise ConfigError(f"world {self.name}: {field} must be 1 or more")
-        if self.max_steering_deg >= 90 or self.field_of_view_deg > 360:
-            raise ConfigError(
-                f"world {self.name}: max_steering_deg must be below 90 and field_of_view_deg at most 360"
-            )
+        problem = _shape_problem(self) or _number_problem(self) or _scanner_problem(self)
+        if problem:
+            raise ConfigError(f"world {self.name}: {problem}")
 
     def defaults(self) -> RunConfig:
-        """The settings of an estimator that knows this world's vehicle, sensor and noise exactly."""
+        """The settings of an estimator that knows this world's vehicle, sensor and noise exactly.
+
+        Scans carry no ids: there the association is by likelihood, of trunks that the detector of trees finds.
+        """
         return RunConfig(
             motion=MotionConfig(
                 model="velocity-steering",
@@ -96,4 +130,64 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
                 max_range=self.max_range,
                 field_of_view_deg=self.field_of_view_deg,
             ),
+            association=AssociationConfig(method="known" if self.scanner is None else "likelihood"),
+            perception=PerceptionConfig()
+            if self.scanner is None
+            else PerceptionConfig(detector="trees", clearance=_CLEARANCE),
         )
+
+
+def _shape_problem(world: World) -> str | None:
+    """What is wrong with a world's arrays, if anything."""
+    for field, least in (("landmarks", 0), ("waypoints", 1)):
+        points = getattr(world, field)
+        if np.ndim(points) != 2 or np.shape(points)[1] != 2 or len(points) < least:
+            return f"{field} must be (n, 2), got {np.shape(points)}"
+        if not np.isfinite(points).all():
+            return f"{field} must be finite"
+    if world.radii is not None:
+        if np.shape(world.radii) != (len(world.landmarks),):
+            return f"radii must be one to a landmark ({len(world.landmarks)}), got {np.shape(world.radii)}"
+        if not (np.isfinite(world.radii) & (np.asarray(world.radii) > 0)).all():
+            return "radii must be finite and positive"
+    return None
+
+
+def _number_problem(world: World) -> str | None:
+    for field in _POSITIVE + _NOT_NEGATIVE:
+        value = getattr(world, field)
+        # compared with the largest float, not asked whether finite: a whole number may be beyond every float
+        if not 0 <= value <= sys.float_info.max or (value == 0 and field in _POSITIVE):
+            return f"{field} must be {'positive' if field in _POSITIVE else 'zero or more'}, got {value}"
+    for field in _COUNTS:
+        if getattr(world, field) < 1:
+            return f"{field} must be 1 or more"
+    if world.max_steering_deg >= 90 or world.field_of_view_deg > 360:
+        return "max_steering_deg must be below 90 and field_of_view_deg at most 360"
+    for field in _PROBABILITIES:
+        if not 0 <= getattr(world, field) <= 1:
+            return f"{field} must be a probability, 0 to 1, got {getattr(world, field)}"
+    if not isinstance(world.movers, int) or world.movers < 0:
+        return f"movers must be a whole number, 0 or more, got {world.movers}"
+    for field, most in _MOST.items():
+        if getattr(world, field) > most:
+            return f"{field} must be at most {most}, got {getattr(world, field)}"
+    return None
+
+
+def _scanner_problem(world: World) -> str | None:
+    if world.scanner is None:
+        return None
+    if world.scanner not in SCANNERS:
+        return f"unknown scanner {world.scanner!r}; known are {', '.join(SCANNERS)}"
+    if world.radii is None:
+        return "a scanner needs the radii of the landmarks"
+    scanner = SCANNERS[world.scanner]
+    if world.max_range > scanner.max_range:
+        return f"max_range must be at most the scanner's {scanner.max_range:g} m, got {world.max_range:g}"
+    width = math.degrees(2.0 * np.abs(scanner.bearings).max())
+    if world.field_of_view_deg > width + 1e-6:
+        return f"field_of_view_deg must be at most the scanner's {width:.4g}, got {world.field_of_view_deg:g}"
+    if world.clutter or world.doubles or world.detection_probability < 1:
+        return "clutter, doubles and detection_probability are for sightings: a scanner has none of them"
+    return None

@@ -1,0 +1,84 @@
+"""What a sensor that sights landmarks reports in every frame: seen, missed, twice, moving, or not there at all."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from kalmap.geometry.angles import wrap
+from kalmap.records import Sightings
+from kalmap.simulate.sense import visible
+from kalmap.simulate.world import World
+
+Streams = dict[str, np.random.Generator]
+# frame (M,), id (M,) and range m, bearing rad (M, 2) of sightings
+_Part = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+NO_LANDMARK = -1
+
+
+def sightings_of(
+    world: World, looks: np.ndarray, times: np.ndarray, tracks: np.ndarray, drawn: Streams
+) -> list[Sightings]:
+    """One for every frame, in order; one may be empty.
+
+    looks (F, 3): the sensor's poses at `times` (F,) s. tracks (F, K, 2): where the movers are. An id is the row of
+    the landmark, also for a second sighting of it, and `NO_LANDMARK` for movers and clutter. Features alone come
+    in the order of their rows; with anything else among them a frame is shuffled, so that the order tells nothing.
+    """
+    parts = _features(world, looks, drawn)
+    if world.movers:
+        parts.append(_movers(world, looks, tracks, drawn))
+    if world.clutter:
+        parts.append(_clutter(world, len(looks), drawn["clutter"]))
+    frame, ids, values = (np.concatenate(pieces) for pieces in zip(*parts))
+    if world.movers or world.clutter or world.doubles:
+        order = np.lexsort((drawn["order"].random(len(frame)), frame))
+        frame, ids, values = frame[order], ids[order], values[order]
+    edges = np.searchsorted(frame, np.arange(len(looks) + 1))
+    return [
+        Sightings(float(time), values[a:b], ids[a:b], record=number + 1)
+        for number, (time, (a, b)) in enumerate(zip(times, pairwise(edges), strict=True))
+    ]
+
+
+def _features(world: World, looks: np.ndarray, drawn: Streams) -> list[_Part]:
+    """The features that are in view and not missed, and their second sightings.
+
+    Numbers are drawn for the missed ones too: who is missed changes nothing about the others.
+    """
+    landmarks = np.asarray(world.landmarks, dtype=float)
+    frame, feature, exact = visible(looks, landmarks, world.max_range, world.field_of_view_deg)
+    feature = feature.astype(np.int64)
+    first = _noisy(world, exact, drawn["sightings"])
+    seen = drawn["detections"].random(len(frame)) < world.detection_probability
+    parts = [(frame[seen], feature[seen], first[seen])]
+    if world.doubles:
+        twice = seen & (drawn["doubles"].random(len(frame)) < world.doubles)
+        second = _noisy(world, exact, drawn["doubles"])
+        parts.append((frame[twice], feature[twice], second[twice]))
+    return parts
+
+
+def _movers(world: World, looks: np.ndarray, tracks: np.ndarray, drawn: Streams) -> _Part:
+    frame, _, exact = visible(looks, tracks, world.max_range, world.field_of_view_deg)
+    values = _noisy(world, exact, drawn["mover-sightings"])
+    seen = drawn["mover-detections"].random(len(frame)) < world.detection_probability
+    return frame[seen], np.full(int(seen.sum()), NO_LANDMARK), values[seen]
+
+
+def _clutter(world: World, frames: int, rng: np.random.Generator) -> _Part:
+    frame = np.repeat(np.arange(frames), rng.poisson(world.clutter, frames))
+    shares = rng.random((len(frame), 2))
+    ranges = world.max_range * (1.0 - shares[:, 0])  # in (0, max_range]: nothing stands in the sensor itself
+    bearings = np.radians(world.field_of_view_deg) * (shares[:, 1] - 0.5)
+    return frame, np.full(len(frame), NO_LANDMARK), np.column_stack([ranges, bearings])
+
+
+def _noisy(world: World, exact: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    sigmas = np.array([world.sigma_range, np.radians(world.sigma_bearing_deg)])
+    values = exact + sigmas * rng.standard_normal(exact.shape)
+    values[:, 0] = np.abs(values[:, 0])  # a feature at the sensor's feet: no scanner gives a negative range
+    values[:, 1] = wrap(values[:, 1])
+    return values
