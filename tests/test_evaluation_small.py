@@ -12,12 +12,13 @@ from kalmap.records import NEW, SPURIOUS
 def test_each_kind_of_association():
     truth = [7, 7, 8, 9, 7, 8, 8, 7, -1, 9]
     given_to = [0, 0, 0, 1, 2, 3, 1, SPURIOUS, 4, 4]
-    score = score_association(np.array(truth), np.array(given_to))
+    score = score_association(np.array(truth), np.array(given_to), false_ids=True)
     # 7 founds 0; joined; 8 joins 7's, unfounded; 9 founds 1; 7 founds again; 8 founds; 8 joins 9's; unused;
-    # clutter founds 4 unscored; 9 joins clutter's
+    # clutter founds 4; 9 joins clutter's
     assert (score.right, score.wrong, score.missed_new) == (1, 2, 1)
     assert (score.right_new, score.false_new, score.unused) == (3, 1, 1)
-    assert score.accuracy == pytest.approx(4 / 8)
+    assert (score.false_admitted, score.false_rejected, score.unscored) == (1, 0, 0)
+    assert score.accuracy == pytest.approx(4 / 10) and score.accuracy_used == pytest.approx(4 / 9)
 
 
 def test_new_without_a_number_founds_too():

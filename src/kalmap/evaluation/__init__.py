@@ -1,6 +1,12 @@
 """How good a result is: trajectory and map errors, consistency, association, time, paired tests."""
 
-from kalmap.evaluation.association import AssociationScore, score_association
+from kalmap.evaluation.association import (
+    AssociationScore,
+    PairScore,
+    Verdict,
+    score_association,
+    score_pairs,
+)
 from kalmap.evaluation.consistency import (
     NisSummary,
     chi2_band,
@@ -10,8 +16,10 @@ from kalmap.evaluation.consistency import (
     pose_nees,
     share_inside,
 )
+from kalmap.evaluation.identities import sighting_identities
 from kalmap.evaluation.landmarks import MapScore, pair_by_id, pair_by_nearest, score_by_id, score_by_nearest
 from kalmap.evaluation.metrics import Metrics, Options, evaluate
+from kalmap.evaluation.owners import LandmarkScore, landmark_owners, score_landmarks
 from kalmap.evaluation.paired import PairedTest, paired_test
 from kalmap.evaluation.timing import StepTimes, step_times
 from kalmap.evaluation.trajectory import (
@@ -29,18 +37,22 @@ from kalmap.evaluation.trajectory import (
 __all__ = [
     "AssociationScore",
     "ErrorSummary",
+    "LandmarkScore",
     "MapScore",
     "Matched",
     "Metrics",
     "NisSummary",
     "Options",
+    "PairScore",
     "PairedTest",
     "RelativeError",
     "StepTimes",
+    "Verdict",
     "absolute_trajectory_error",
     "chi2_band",
     "evaluate",
     "heading_errors",
+    "landmark_owners",
     "match",
     "mean_nees",
     "nis_summary",
@@ -55,6 +67,9 @@ __all__ = [
     "score_association",
     "score_by_id",
     "score_by_nearest",
+    "score_landmarks",
+    "score_pairs",
     "share_inside",
+    "sighting_identities",
     "step_times",
 ]

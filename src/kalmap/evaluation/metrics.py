@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 
 from kalmap.evaluation import consistency, trajectory
-from kalmap.evaluation.association import score_association
+from kalmap.evaluation.association import Verdict, score_association, score_pairs
 from kalmap.evaluation.landmarks import MapScore, Motion, pair_by_id, score_by_id, score_by_nearest
+from kalmap.evaluation.owners import score_landmarks
 from kalmap.evaluation.timing import step_times
 from kalmap.geometry.alignment import align
 from kalmap.records import Estimate, Landmarks, Log, Reference, Trace
@@ -17,6 +18,8 @@ from kalmap.records import Estimate, Landmarks, Log, Reference, Trace
 Metrics = dict[str, float | int | None]
 
 _FEWEST_ALIGNED = 3  # an alignment makes the error of one or two positions vanish
+
+_COUNTS = tuple(verdict.name.lower() for verdict in Verdict)
 
 _STAY: Motion = (0.0, np.zeros(2))
 
@@ -51,7 +54,8 @@ def evaluate(
     ids_known: the estimate's landmark ids are the log's (association "known"); else, or if the log's ids
         are not the truth, features are paired with the reference's by distance.
     runtime_s: the run's own clock; None takes the sum of the steps.
-    association: true id and assigned landmark of every sighting, see `score_association`.
+    association: true id and assigned landmark of every sighting, in order of time, both (M,) ints and the
+        landmarks by their number in `estimate.landmarks.ids`; see `score_association`.
     dead_reckoning: times (K,) and poses (K, 3) of the odometry alone, judged like the estimate's.
 
     Main keys, of the first reference: `position_rmse_m` and `heading_rmse_deg` over the trace's instants;
@@ -63,12 +67,17 @@ def evaluate(
     it. `nis_mean` is the mean NIS per degree of freedom (1 is right); `nis_pooled` their sum over the sum
     of degrees of freedom, whose 95 % band is `nis_band_*`. Further references add the same keys behind
     their kind ("gps_position_rmse_m"; a second of the same kind "gps2_").
+
+    `association_accuracy` and the count of each `Verdict` (`association_right`, ...) judge the sightings,
+    `association_precision`, `_recall` and `_f1` the pairs of them, `association_*_landmarks` and
+    `association_missed_features` the last map. Whether a negative true id means "known to be no landmark" is
+    the log's `false_ids`; where it does not, `association_spurious_landmarks` is not known.
     """
     options = options or Options()
     comparable = ids_known and log.truth_ids
     metrics = _run_metrics(trace, estimate, runtime_s)
     metrics |= _nis_metrics(trace)
-    metrics |= _association_metrics(association)
+    metrics |= _association_metrics(association, estimate.landmarks.ids, log.false_ids)
     seen: dict[str, int] = {}
     for number, reference in enumerate(log.references or (Reference(),)):
         seen[reference.kind] = seen.get(reference.kind, 0) + 1
@@ -111,11 +120,27 @@ def _nis_metrics(trace: Trace) -> Metrics:
     }
 
 
-def _association_metrics(association: tuple[np.ndarray, np.ndarray] | None) -> Metrics:
+def _association_metrics(
+    association: tuple[np.ndarray, np.ndarray] | None, landmark_ids: np.ndarray, false_ids: bool
+) -> Metrics:
     if association is None:
         return {"association_accuracy": None}
-    score = score_association(*association)
-    return {f"association_{key}": value for key, value in msgspec.structs.asdict(score).items()}
+    score = score_association(*association, false_ids=false_ids)
+    pairs = score_pairs(*association, false_ids=false_ids)
+    final = score_landmarks(*association, landmark_ids, false_ids=false_ids)
+    metrics: Metrics = {
+        "accuracy": score.accuracy,
+        "accuracy_used": score.accuracy_used,
+        "precision": pairs.precision,
+        "recall": pairs.recall,
+        "f1": pairs.f1,
+        **{name: getattr(score, name) for name in _COUNTS},
+        "spurious_landmarks": final.spurious,
+        "duplicate_landmarks": final.duplicates,
+        "unknown_landmarks": final.unknown,
+        "missed_features": final.missed,
+    }
+    return {f"association_{key}": value for key, value in metrics.items()}
 
 
 def _reference_metrics(

@@ -46,6 +46,24 @@ _SPELT |= {
 }
 # The first entry whose words are all in the key gives the explanation.
 _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"association", "accuracy", "used"}),
+        "Of the sightings that were used, how many went where they belong.",
+    ),
+    (
+        frozenset({"association", "accuracy"}),
+        "Of all sightings, how many were rightly joined, founded or rejected.",
+    ),
+    (
+        frozenset({"association", "precision"}),
+        "Of the pairs of sightings given to one landmark, how many are of one.",
+    ),
+    (
+        frozenset({"association", "recall"}),
+        "Of the pairs of sightings of one landmark, how many were given to one.",
+    ),
+    (frozenset({"association", "f1"}), "Precision and recall of the pairs in one number: 1 is right."),
+    (frozenset({"association"}), "The log does not say which sightings are of no landmark."),
     (frozenset({"dead", "reckoning"}), "The same for the odometry alone: what the landmarks are worth."),
     (frozenset({"ate", "aligned"}), "Distance from the reference path, both laid over each other first."),
     (frozenset({"ate"}), "Distance from the reference path, over the whole run."),
@@ -61,6 +79,22 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"landmarks"}), "Distance between estimated and true landmarks."),
     (frozenset({"feature"}), "Distance between estimated and true landmarks."),
 )
+# What a count of the association says, by the words of its key behind "association".
+_COUNTS = {
+    "right": "Sightings joined to a landmark that their own feature founded.",
+    "wrong": "Sightings joined to another's landmark, though their feature had one.",
+    "missed new": "Sightings of a feature without a landmark yet, joined to another's.",
+    "right new": "Sightings that founded their feature's first landmark.",
+    "false new": "Sightings that founded one more landmark of the same feature.",
+    "unused": "Sightings of a feature that were left aside.",
+    "false rejected": "Sightings of no feature, rightly left aside.",
+    "false admitted": "Sightings of no feature that were used all the same.",
+    "unscored": "Sightings of which nobody says what they were.",
+    "spurious landmarks": "Landmarks in the map that are no feature.",
+    "duplicate landmarks": "Landmarks in the map beyond the first of a feature.",
+    "unknown landmarks": "Landmarks in the map of which nobody says what they are.",
+    "missed features": "Features seen three times or more that have no landmark.",
+}
 # What a comparison shows first, as the evaluation names it.
 HEADLINES = (
     "position_rmse_m",
@@ -73,6 +107,7 @@ HEADLINES = (
     "nis_mean",
     "nis_inside",
     "association_accuracy",
+    "association_f1",
     "step_ms_mean",
     "step_ms_p99",
 )
@@ -164,7 +199,7 @@ def reading(key: str, value: Any) -> str:
         judge = agreement if "nis" in words else honesty
         return f"{metric.right:g} is right. {judge(value / metric.right)}"
     if isinstance(value, int):
-        return ""
+        return _COUNTS.get(" ".join(_words(key)).partition("association ")[2], "")
     return next((text for needed, text in _EXPLANATIONS if needed <= words), "")
 
 
