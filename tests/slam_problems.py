@@ -3,12 +3,14 @@ a linear sensor."""
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from kalmap.gaussian import Belief, CentralDifference, Cubature, Jacobian, Unscented
 from kalmap.kernels import packed as packed_kernel
 from kalmap.models import Ackermann, Bias, Increments, RangeBearing, Unicycle, VelocitySteering
-from kalmap.records import Odometry, Sightings
+from kalmap.records import Log, Odometry, RunConfig, Sightings
 
 LINEARISERS = {
     "jacobian": Jacobian(),
@@ -19,7 +21,12 @@ LINEARISERS = {
     "cubature": Cubature(),
 }
 
-STEERING_BIASES = (Bias("steering_offset", 0.02), Bias("speed_scale", 0.05), Bias("steering_scale", 0.04))
+STEERING_BIASES = (
+    Bias("steering_offset", 0.02),
+    Bias("speed_scale", 0.05),
+    Bias("steering_scale", 0.04),
+    Bias("course_offset", 0.03),
+)
 TURN_BIASES = (Bias("turn_rate_offset", 0.02), Bias("speed_scale", 0.05), Bias("turn_rate_scale", 0.04))
 
 MOUNTED = RangeBearing(mount=(1.2, -0.4, 0.3), sigma_range=0.15, ratio_range=0.01, sigma_bearing=0.02)
@@ -150,10 +157,14 @@ def feed(slam: object, events: list) -> object:
     return slam
 
 
+def log_of(events: list, **changes: object) -> Log:
+    """A log of events that are at hand."""
+    return Log(name="test", source="memory", defaults=RunConfig(), open=lambda skip: iter(events), **changes)
+
+
 def state_of(slam: object) -> tuple:
     """Everything that a refused event must leave alone, as comparable values."""
-    belief, memory = slam._belief, slam._memory
-    kept = dict(memory) if isinstance(memory, dict) else [None if m is None else list(m) for m in memory]
+    belief = slam._belief
     return (
         slam.time,
         slam.step_number,
@@ -161,5 +172,6 @@ def state_of(slam: object) -> tuple:
         belief.covariance().tobytes(),
         belief.mean[: belief.n].tobytes(),
         (list(slam._ids), list(slam._counts), sorted(slam._on_trial)),
-        kept,
+        copy.deepcopy(slam._memory),
+        (dict(slam.merged), sorted(slam.rejected), slam._frames),
     )

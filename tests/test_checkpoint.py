@@ -6,9 +6,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from kalmap.association import Likelihood
+from kalmap.association import (
+    Attribute,
+    Counter,
+    Djnn,
+    Existence,
+    Jcbb,
+    KnownIds,
+    Likelihood,
+    Merging,
+    Nearest,
+    Region,
+    Trial,
+)
 from kalmap.models import RangeBearing, VelocitySteering
-from kalmap.records import ConfigError, LogError
+from kalmap.records import ConfigError, LogError, Sightings
 from kalmap.slam import LandmarkSlam
 from kalmap.slam.checkpoint import FORMAT
 from slam_problems import LINEARISERS, STEERING_BIASES, XYSensor, circle_events, feed, state_of
@@ -68,10 +80,51 @@ def test_resumed_run_is_the_same_bit_for_bit(name, scope, coordinates, use, tmp_
 @pytest.mark.parametrize("stop", [0, 1, 2, 9, 31])
 def test_any_moment_and_the_memory_of_an_associator(stop, tmp_path):
     """Oracle: as above, with landmarks on trial in the memory, and before the first event too."""
-    slam = LandmarkSlam(association=Likelihood(confirm=4, confirm_window=9))
+    slam = LandmarkSlam(association=Likelihood(management=Trial(confirm=4, window=9)))
     resumed = assert_goes_on(slam, tmp_path / "filter", EVENTS, stop)
     np.testing.assert_array_equal(resumed.frame_labels, slam.frame_labels)
     assert resumed.association == slam.association
+
+
+def told_more(events: list) -> list:
+    """The drive with clutter in every other frame and a diameter for each sighting."""
+    rng, told = np.random.default_rng(6), []
+    for number, event in enumerate(events):
+        if isinstance(event, Sightings):
+            false = np.c_[rng.uniform(3, 25, 2), rng.uniform(-1.2, 1.2, 2)][: 2 * (number % 4 == 1)]
+            z, ids = np.vstack([event.values, false]), np.append(event.ids, np.full(len(false), 77 + number))
+            measured = 0.1 + 0.05 * (ids % 9) + rng.normal(0, 0.02, len(ids))
+            event = Sightings(event.time, z, ids, attributes={"diameter": measured})
+        told.append(event)
+    return told
+
+
+DIAMETER = Attribute(name="diameter", sigma=0.1, ratio=0.1)
+ASSOCIATORS = {
+    "known": KnownIds(),
+    "nearest": Nearest(management=Counter(), merging=Merging()),
+    "hungarian": Nearest(one_to_one=True, management=Existence(), region=Region(local=False)),
+    "likelihood": Likelihood(management=Trial(2, 5), attributes=(DIAMETER,), extent=0.2),
+    "jcbb": Jcbb(management=Existence(), merging=Merging(), randomised_from=3),
+    "djnn": Djnn(merging=Merging(frames=2, gate=0.999), attributes=(DIAMETER,), gate=0.6, new_gate=0.6),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("stop", [1, 14, 31, 55])
+@pytest.mark.parametrize("name", ASSOCIATORS)
+@pytest.mark.parametrize("coordinates", ["additive", "invariant"])
+def test_every_associator_goes_on_bit_for_bit(name, stop, coordinates, tmp_path):
+    """Oracle: the filter that never stopped: state, memory, labels, mergers and what was rejected."""
+    slam = LandmarkSlam(association=ASSOCIATORS[name], coordinates=coordinates)
+    events = told_more(circle_events(4, frames=40))
+    resumed = assert_goes_on(slam, tmp_path / "filter", events, stop)
+    assert resumed.association == slam.association
+    np.testing.assert_array_equal(resumed.frame_labels, slam.frame_labels)
+    labels = np.arange(slam._founded)
+    np.testing.assert_array_equal(resumed.settled_labels(labels), slam.settled_labels(labels))
+    np.testing.assert_array_equal(resumed.estimate().landmarks.existence, slam.estimate().landmarks.existence)
+    assert slam.landmark_count >= 8 and (slam.merged or name != "djnn")
+    assert slam.rejected or name in ("known",)
 
 
 def test_a_sensor_without_limit_can_be_saved(tmp_path):
@@ -175,7 +228,25 @@ def test_files_that_contradict_themselves_are_refused(saved, tmp_path, change):
     with pytest.raises(LogError) as caught:
         LandmarkSlam.load(path)
     assert caught.value.file == path
-    assert FORMAT == "kalmap-filter/1"
+    assert FORMAT == "kalmap-filter/2"
+
+
+LISTS = {"confirmed": [True], "score": [1.0], "serial": [0], "known": [[]], "founded": 1}
+
+
+@pytest.mark.parametrize(
+    "memory",
+    [3, [], {}, "x", None, LISTS, LISTS | {"score": []}, {"confirmed": 3}, [[0, 77]]],
+    ids=lambda memory: str(memory)[:12],
+)
+def test_a_memory_that_does_not_fit_the_map_is_refused(memory, tmp_path):
+    """Oracle: LogError naming the file: six landmarks, and a memory of one or of none."""
+    path = tmp_path / "filter"
+    feed(LandmarkSlam(association=Djnn()), EVENTS[:6]).save(path)
+    rewrite(path.read_bytes(), path, header={"memory": memory})
+    with pytest.raises(LogError) as caught:
+        LandmarkSlam.load(path)
+    assert caught.value.file == path
 
 
 def test_foreign_files_are_refused(tmp_path):

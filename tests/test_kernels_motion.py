@@ -30,10 +30,11 @@ def increment_at(setup: np.ndarray, corrected: np.ndarray, dt: float) -> np.ndar
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("biases", [0, 2, 3])
+@pytest.mark.parametrize("biases", [0, 2, 3, 4])
 def test_increments_and_noise_equal_the_numpy_models(name, biases):
     """Oracle: the numpy twin in kalmap.models."""
     rng, model = np.random.default_rng(biases), motions(biases)[name]
+    biases = len(model.biases)  # the fourth is the steered vehicles' course offset
     setup, zero = setup_of(model), np.zeros(3 + biases)
     samples, durations = controls(rng, model, 20)
     for control, dt in zip(samples, durations, strict=True):
@@ -78,16 +79,48 @@ def test_increment_jacobian(name, speed, turn, dt):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("biases", [1, 2, 3])
+@pytest.mark.parametrize("biases", [1, 2, 3, 4])
 def test_bias_jacobian(name, biases):
     """Oracle: central differences of the model's corrected control."""
     rng, model = np.random.default_rng(7), motions(biases)[name]
+    biases = len(model.biases)  # a course offset turns the increment and not the control: its column is zero
     control = controls(rng, model, 1)[0][0]
     got = np.empty((model.control_size, biases))
     kernel.bias_jacobian(setup_of(model), control, model.control_size, got)
     steps = 1e-5 * np.eye(biases)
     expected = [(model.corrected(control, d) - model.corrected(control, -d)) / 2e-5 for d in steps]
     np.testing.assert_allclose(got, np.array(expected).T, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("biases", [0, 1, 3, 4])
+def test_propagated_matrices_are_the_derivatives_of_the_propagated_mean(name, biases):
+    """Oracle: central differences of the kernel's own mean over three samples, by pose and biases; and of the
+    covariance the same derivatives by each sample's control, times its noise."""
+    rng, model = np.random.default_rng(biases), motions(biases)[name]
+    setup, d = setup_of(model), 3 + len(model.biases)
+    samples, durations = controls(rng, model, 3)
+    c, mean = model.control_size, np.r_[1.0, -2.0, 0.8, rng.normal(0, 0.05, d - 3)]
+
+    def carried(mean, samples):
+        end, packed, phi = mean.copy(), np.zeros(d * (d + 1) // 2), np.eye(d)
+        noise = np.tile(0.01 * np.eye(c), (3, 1, 1))
+        assert motion.propagate(setup, end, packed, phi, samples, durations, noise) == layout.OK
+        return end, packed, phi
+
+    steps = 1e-5 * np.eye(d)
+    by_state = np.array(
+        [(carried(mean + e, samples)[0] - carried(mean - e, samples)[0]) / 2e-5 for e in steps]
+    ).T
+    _, packed, phi = carried(mean, samples)
+    np.testing.assert_allclose(phi, by_state, atol=1e-8)
+    expected = np.zeros((d, d))
+    for at in np.ndindex(samples.shape):
+        moved = np.zeros_like(samples)
+        moved[at] = 1e-5
+        column = (carried(mean, samples + moved)[0] - carried(mean, samples - moved)[0]) / 2e-5
+        expected += 0.01 * np.outer(column, column)
+    np.testing.assert_allclose(packed, expected[np.tril_indices(d)], atol=1e-8)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -190,12 +190,12 @@ def test_refused_settings(settings, reason):
 @pytest.mark.parametrize(
     "config",
     [
-        RunConfig(association=AssociationConfig(method="nearest")),
+        RunConfig(association=AssociationConfig(method="dowsing")),
         RunConfig(motion=MotionConfig(model="tank")),
     ],
 )
 def test_unknown_names_of_a_configuration_made_in_python(config):
     """Oracle: ConfigError; a name that nobody knows must not become some other method quietly."""
     log = simulate(world_by_name("course-35"), 1)
-    with pytest.raises(ConfigError, match=r"nearest|tank"):
+    with pytest.raises(ConfigError, match=r"dowsing|tank"):
         slam_from_config(config, log)

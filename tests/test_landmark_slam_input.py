@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kalmap.association import Likelihood
+from kalmap.association import Djnn, Jcbb, Likelihood, Nearest, Trial
 from kalmap.models import Increments, VelocitySteering
 from kalmap.records import EstimationError, EventError, Fix, Odometry, Scan, Sightings
 from kalmap.slam import LandmarkSlam
@@ -89,7 +89,7 @@ NO_COVARIANCE = {
 
 @pytest.mark.parametrize("name", ["jacobian", "central"])
 @pytest.mark.parametrize("kind", NO_COVARIANCE)
-@pytest.mark.parametrize("what", ["odometry", "seen", "new", "seen and new"])
+@pytest.mark.parametrize("what", ["odometry", "seen", "new", "seen and new", "good and new"])
 @pytest.mark.parametrize("use", ["joint", "sequential"])
 def test_noise_that_is_no_covariance(name, kind, what, use):
     """Oracle: an error with a name (EventError or EstimationError), the state as before,
@@ -107,6 +107,12 @@ def test_noise_that_is_no_covariance(name, kind, what, use):
             np.append(known[:2], 99),
             np.vstack([[np.eye(2)], noise, noise]),
         ),
+        "good and new": Sightings(
+            slam.time,
+            np.vstack([EVENTS[7].values[:1], z]),
+            np.append(known[:1], 99),
+            np.vstack([[np.eye(2)], noise]),
+        ),
     }[what]
     with pytest.raises((EventError, EstimationError)):
         slam.step(event)
@@ -116,14 +122,16 @@ def test_noise_that_is_no_covariance(name, kind, what, use):
 
 def test_a_failed_first_frame_leaves_the_associators_memory():
     """Oracle: a twin that never got the frame, whose very first landmark had an impossible noise."""
-    slam, twin = (feed(LandmarkSlam(association=Likelihood(confirm=2)), EVENTS[:1]) for _ in range(2))
+    slam, twin = (
+        feed(LandmarkSlam(association=Likelihood(management=Trial(2))), EVENTS[:1]) for _ in range(2)
+    )
     with pytest.raises((EventError, EstimationError)):
         slam.step(Sightings(slam.time, np.array([[5.0, 0.3]]), None, np.full((1, 2, 2), np.nan)))
     assert state_of(slam) == state_of(twin)
     assert state_of(feed(slam, EVENTS[1:])) == state_of(feed(twin, EVENTS[1:]))
 
 
-@pytest.mark.parametrize("association", [None, Likelihood(confirm=2)])
+@pytest.mark.parametrize("association", [None, Likelihood(management=Trial(2)), Nearest(), Djnn(), Jcbb()])
 def test_a_broken_belief_is_an_estimation_error(association):
     """Oracle: EstimationError naming the step, when the covariance itself is no longer one."""
     slam = feed(LandmarkSlam(association=association), EVENTS[:8])

@@ -74,6 +74,41 @@ def test_biases_correct_the_control(name):
     np.testing.assert_allclose(batch, np.repeat(expected[None], 3, 0), rtol=1e-13)
 
 
+@pytest.mark.parametrize("name", ["velocity-steering", "ackermann"])
+@pytest.mark.parametrize("course", [0.0, 0.03, -2.0])
+def test_a_course_offset_turns_the_way_and_nothing_else(name, course):
+    """Oracle: the increment with the other three errors, its way turned by a rotation matrix; the turn stays."""
+    rng = np.random.default_rng(1)
+    model, without = motions(4)[name], motions(3)[name]
+    control, bias = controls(rng, model, 1)[0][0], np.array([0.03, -0.1, 0.2, course])
+    expected = without.increment(control, bias[:3], 0.1)
+    c, s = np.cos(course), np.sin(course)
+    expected[:2] = np.array([[c, -s], [s, c]]) @ expected[:2]
+    np.testing.assert_allclose(model.increment(control, bias, 0.1), expected, rtol=1e-13)
+    np.testing.assert_array_equal(model.corrected(control, bias), without.corrected(control, bias[:3]))
+    batch = model.increment(np.repeat(control[None], 3, 0), bias + np.zeros((3, 1)), 0.1)
+    np.testing.assert_allclose(batch, np.repeat(expected[None], 3, 0), rtol=1e-13)
+
+
+def test_a_course_offset_is_a_sensor_askew():
+    """Oracle: a vehicle with the sensor's heading as its own, whose sensor looks straight ahead: the same path and
+    the same sightings, the frame turned by the angle."""
+    askew, course = np.array([3.0, 0.2]), 0.25
+    model = VelocitySteering(biases=(Bias("course_offset", 0.1),))
+    straight, turned = np.array([1.0, 2.0, 0.4]), np.array([1.0, 2.0, 0.4 - course])
+    mounted, plain, landmark = RangeBearing(mount=(0.0, 0.0, -course)), RangeBearing(), np.array([9.0, 7.0])
+    for _ in range(5):
+        pair = []
+        for pose, bias in ((straight, 0.0), (turned, course)):
+            step, (c, s) = model.increment(askew, np.array([bias]), 0.1), (np.cos(pose[2]), np.sin(pose[2]))
+            pair.append(pose + [c * step[0] - s * step[1], s * step[0] + c * step[1], step[2]])
+        straight, turned = pair
+        np.testing.assert_allclose(turned, straight - [0.0, 0.0, course], atol=1e-12)
+        np.testing.assert_allclose(
+            plain.predict(turned, landmark), mounted.predict(straight, landmark), atol=1e-12
+        )
+
+
 def test_control_noise_by_hand():
     """Oracle: the sums of MotionConfig's docstring."""
     model = Unicycle(
@@ -117,7 +152,7 @@ def test_field_of_view():
 
 
 @pytest.mark.parametrize("invariant", [False, True])
-@pytest.mark.parametrize("kind", ["next", "seen", "new"])
+@pytest.mark.parametrize("kind", ["next", "next askew", "seen", "new"])
 def test_charts_are_zero_at_the_mean_and_read_leading_entries_only(kind, invariant):
     """Oracle: a deviation of zero, and Theorem 1: further entries change nothing and have no derivative."""
     rng = np.random.default_rng(3)
@@ -125,6 +160,9 @@ def test_charts_are_zero_at_the_mean_and_read_leading_entries_only(kind, invaria
     chart = {
         "next": NextPose(
             motions(2)["unicycle"], pose, np.array([0.01, 0.02]), np.array([3.0, 0.2]), 0.1, invariant
+        ),
+        "next askew": NextPose(
+            motions(4)["ackermann"], pose, np.full(4, 0.05), np.array([3.0, 0.2]), 0.1, invariant
         ),
         "seen": SeenLandmark(MOUNTED, pose, landmark, invariant),
         "new": NewLandmark(MOUNTED, pose, np.array([7.0, 0.4]), invariant),
@@ -168,11 +206,24 @@ def test_configurations_name_the_models(name, kind):
     np.testing.assert_allclose(sensor.field_of_view, 2 * np.pi / 3)
 
 
+def test_a_course_offset_is_configured_in_degrees():
+    """Oracle: degrees turned into radians by hand, prior and mean."""
+    config = MotionConfig(biases=("course_offset",), prior_course_offset_deg=2.0, mean_course_offset_deg=-3.0)
+    (bias,) = motion_from_config(config).biases
+    assert bias.name == "course_offset"
+    np.testing.assert_allclose([bias.sigma, bias.mean], [np.pi / 90, -np.pi / 60])
+
+
 def test_biases_that_a_model_does_not_have_are_refused():
     """Oracle: the error names the field."""
-    for biases in (("turn_rate_offset",), ("speed_scale", "speed_scale")):
+    for model, biases in (
+        ("ackermann", ("turn_rate_offset",)),
+        ("ackermann", ("speed_scale", "speed_scale")),
+        ("unicycle", ("course_offset",)),
+        ("increments", ("course_offset",)),
+    ):
         with pytest.raises(ConfigError, match=r"motion\.biases"):
-            motion_from_config(MotionConfig(model="ackermann", biases=biases))
+            motion_from_config(MotionConfig(model=model, biases=biases))
 
 
 def test_unknown_keys_are_refused():

@@ -19,12 +19,7 @@ from kalmap.records import (
 )
 from kalmap.slam import LandmarkSlam, run
 from kalmap.slam.run import KEPT_SKIPS
-from slam_problems import XYSensor, circle_events, feed
-
-
-def log_of(events, **changes) -> Log:
-    return Log(name="test", source="memory", defaults=RunConfig(), open=lambda skip: iter(events), **changes)
-
+from slam_problems import XYSensor, circle_events, feed, log_of
 
 EVENTS = circle_events(1, frames=20)
 BAD = Sightings(EVENTS[7].time, np.array([[-1.0, 0.0]]), np.array([0]), record=77)
@@ -153,6 +148,11 @@ def test_labels_and_truth_of_an_association_that_decides():
     outcome = run(LandmarkSlam(association=Likelihood()), log_of(EVENTS))
     assert len(outcome.truth_ids) == len(outcome.labels) == outcome.sightings
     np.testing.assert_array_equal(outcome.truth_ids, np.concatenate([e.ids for e in EVENTS[1::2]]))
+    np.testing.assert_array_equal(outcome.values, np.concatenate([e.values for e in EVENTS[1::2]]))
+    np.testing.assert_array_equal(
+        outcome.times, np.repeat([e.time for e in EVENTS[1::2]], [len(e.ids) for e in EVENTS[1::2]])
+    )
+    assert 0.0 < outcome.association_seconds < outcome.runtime
     used = outcome.labels >= 0
     pairs = set(zip(outcome.truth_ids[used].tolist(), outcome.labels[used].tolist(), strict=True))
     assert used.mean() > 0.95 and len(pairs) == len(outcome.estimate.landmarks)
@@ -160,8 +160,10 @@ def test_labels_and_truth_of_an_association_that_decides():
 
 def test_no_labels_where_association_is_given_or_the_truth_unknown():
     """Oracle: Outcome's docstring."""
-    assert len(run(LandmarkSlam(), log_of(EVENTS)).labels) == 0
-    assert len(run(LandmarkSlam(association=Likelihood()), log_of(EVENTS, truth_ids=False)).labels) == 0
+    outcome = run(LandmarkSlam(), log_of(EVENTS))
+    assert [len(a) for a in (outcome.labels, outcome.truth_ids, outcome.times, outcome.values)] == [0] * 4
+    outcome = run(LandmarkSlam(association=Likelihood()), log_of(EVENTS, truth_ids=False))
+    assert len(outcome.labels) == outcome.sightings and len(outcome.truth_ids) == 0
 
 
 def test_dead_reckoning_is_odometry_alone():

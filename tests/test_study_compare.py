@@ -1,7 +1,7 @@
 import msgspec
 import pytest
 
-from kalmap.records import ConfigError, FilterConfig
+from kalmap.records import AssociationConfig, ConfigError, FilterConfig
 from kalmap.simulate import simulate, world_by_name
 from kalmap.slam import FILTERS
 from kalmap.study import Method, compare_methods, parse_method, parse_methods
@@ -13,15 +13,25 @@ def log():
 
 
 def test_parse_method_takes_names_and_suffixes():
-    assert parse_method("ekf") == ("ekf", FilterConfig(name="ekf"))
-    label, chosen = parse_method(" CR-CDKF:Additive:sequential ")
-    assert label == "cr-cdkf:additive:sequential"
-    assert chosen == FilterConfig(name="cr-cdkf", coordinates="additive", use="sequential")
+    assert parse_method("ekf") == Method("ekf", FilterConfig(name="ekf"))
+    chosen = FilterConfig(name="cr-cdkf", coordinates="additive", use="sequential")
+    assert parse_method(" CR-CDKF:Additive:sequential ") == Method("cr-cdkf:additive:sequential", chosen)
     base = FilterConfig(name="cr-cdkf", coordinates="additive", use="sequential", scope="reduced")
-    assert parse_method("cdkf", base)[1] == FilterConfig(
+    assert parse_method("cdkf", base).filter == FilterConfig(
         name="cdkf", coordinates="additive", use="sequential"
     )
-    assert parse_method("cdkf:invariant:joint", base)[1] == FilterConfig(name="cdkf")
+    assert parse_method("cdkf:invariant:joint", base).filter == FilterConfig(name="cdkf")
+
+
+def test_parse_method_takes_an_association():
+    given = AssociationConfig(gate=0.99, merge=False)
+    assert parse_method("ekf", association=given).association is None
+    method = parse_method("ekf:DJNN:additive", association=given)
+    assert method.association == AssociationConfig(method="djnn", gate=0.99, merge=False)
+    assert method.filter == FilterConfig(name="ekf", coordinates="additive")
+    assert parse_method("ekf:jcbb").association == AssociationConfig(method="jcbb")
+    with pytest.raises(ConfigError, match="djnn and jcbb contradict"):
+        parse_method("ekf:djnn:jcbb")
 
 
 def test_parse_method_lists_what_exists():

@@ -14,8 +14,8 @@ _HOMES = {
     "kalmap.slam": ("LandmarkSlam", "run", "slam_from_config"),
     "kalmap.gaussian": ("CentralDifference", "Cubature", "Jacobian", "Unscented"),
     "kalmap.models": ("Ackermann", "Bias", "Increments", "RangeBearing", "Unicycle", "VelocitySteering"),
-    "kalmap.association": ("KnownIds", "Likelihood"),
-    "kalmap.perception": ("ReflectorDetector",),
+    "kalmap.association": ("Djnn", "Jcbb", "KnownIds", "Likelihood", "Mda", "Nearest"),
+    "kalmap.perception": ("ReflectorDetector", "TreeDetector"),
     "kalmap.records": (
         "Estimate", "Fix", "KalmapError", "Landmarks", "Log", "Odometry", "RunConfig", "Scan", "Sightings", "Trace",
     ),

@@ -22,7 +22,11 @@ class KnownIds(msgspec.Struct, frozen=True, tag=True):
         """Memory: id -> index."""
         return {}
 
-    def associate(self, memory: Any, sightings: Sightings, predicted: Predicted) -> tuple[Association, Any]:
+    def fits(self, memory: Any, count: int) -> bool:
+        """Whether its indices are 0 to count - 1."""
+        return sorted(memory.values()) == list(range(count))
+
+    def associate(self, memory: Any, sightings: Sightings, predicted: Predicted) -> Association:
         """Raises EventError if the frame has no ids or one that cannot be an identity."""
         if sightings.ids is None:
             raise EventError(
@@ -45,4 +49,8 @@ class KnownIds(msgspec.Struct, frozen=True, tag=True):
                     added[number] = fresh
                     fresh += 1
             matched.append(index)
-        return Association(np.array(matched, dtype=np.int64)), {**memory, **added} if added else memory
+        return Association(np.array(matched, dtype=np.int64), change=added)
+
+    def settle(self, memory: Any, association: Association) -> None:
+        """Remember the identities that this frame brought."""
+        memory.update(association.change)

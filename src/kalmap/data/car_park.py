@@ -35,7 +35,7 @@ def open_car_park(path: Path, variant: str | None, detector: Detector | None) ->
     if poles_path.is_file():
         poles = matrix(load_mat(poles_path, ("estbeac",)), "estbeac", poles_path, columns=2)
     fixes = _fixes(path)
-    car = ute.defaults(identified=False)
+    car = ute.defaults(ute.POLES, "reflectors", identified=False)
     return Log(
         name="car-park",
         source=str(path.parent),

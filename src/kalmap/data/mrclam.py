@@ -36,7 +36,9 @@ DEFAULTS = RunConfig(
         max_range=10.0,
         field_of_view_deg=75.0,
     ),
-    association=AssociationConfig(method="known"),
+    association=AssociationConfig(
+        method="known", management="trial", confirm=6, confirm_window=60, ambiguity=4.6
+    ),
 )
 
 COMMAND_LATENCY = 0.2

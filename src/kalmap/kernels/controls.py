@@ -11,6 +11,7 @@ from numba import njit
 from kalmap.kernels.layout import (
     BIAS_CODE,
     BIAS_COUNT,
+    BIAS_COURSE_OFFSET,
     BIAS_SPEED_SCALE,
     BIAS_STEERING_OFFSET,
     BIAS_STEERING_SCALE,
@@ -37,8 +38,8 @@ from kalmap.kernels.regression import left_jacobian
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def control_corrections(setup, biases, deviation):
-    """(speed scale, turn scale, turn offset) that the constant errors biases + deviation[3:] amount to."""
-    speed_scale, turn_scale, turn_offset = 1.0, 1.0, 0.0
+    """(speed scale, turn scale, turn offset, course offset) that the errors biases + deviation[3:] amount to."""
+    speed_scale, turn_scale, turn_offset, course = 1.0, 1.0, 0.0, 0.0
     for i in range(len(biases)):
         code = int(setup[BIAS_CODE + i])
         bias = biases[i] + deviation[3 + i]
@@ -48,7 +49,9 @@ def control_corrections(setup, biases, deviation):
             turn_scale += bias
         elif code == BIAS_STEERING_OFFSET or code == BIAS_TURN_RATE_OFFSET:
             turn_offset += bias
-    return speed_scale, turn_scale, turn_offset
+        elif code == BIAS_COURSE_OFFSET:
+            course += bias
+    return speed_scale, turn_scale, turn_offset, course
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -82,14 +85,18 @@ def sample_increment(setup, control, noise, biases, deviation, dt):
 
     control, noise: triples (first, second, turn). Nothing is deviated where both hold zeros.
     """
-    speed_scale, turn_scale, turn_offset = control_corrections(setup, biases, deviation)
-    return increment(
+    speed_scale, turn_scale, turn_offset, course = control_corrections(setup, biases, deviation)
+    dx, dy, turn = increment(
         setup,
         speed_scale * (control[0] + noise[0]),
         speed_scale * (control[1] + noise[1]),
         turn_scale * (control[2] + noise[2]) + turn_offset,
         dt,
     )
+    if course != 0.0:
+        sine, cosine = math.sin(course), math.cos(course)
+        dx, dy = cosine * dx - sine * dy, sine * dx + cosine * dy
+    return dx, dy, turn
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,7 +153,7 @@ def bias_jacobian(setup, control, c, out):
                 out[1, i] = control[1]
         elif code == BIAS_STEERING_SCALE or code == BIAS_TURN_RATE_SCALE:
             out[c - 1, i] = control[c - 1]
-        else:
+        elif code != BIAS_COURSE_OFFSET:  # which turns the increment, and not the control
             out[c - 1, i] = 1.0
 
 

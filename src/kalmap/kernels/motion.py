@@ -18,7 +18,9 @@ from kalmap.kernels.controls import (
 )
 from kalmap.kernels.layout import (
     BAD_SAMPLE,
+    BIAS_CODE,
     BIAS_COUNT,
+    BIAS_COURSE_OFFSET,
     INVARIANT,
     JACOBIAN,
     NOT_FINITE,
@@ -130,16 +132,20 @@ def _step_by_jacobian(setup, heading, step0, control, biases, c, dt, matrix, scr
     """d next pose / d (pose, biases, control), analytically, at the mean. scratch: (10, 5)."""
     nb = len(biases)
     jac, by_bias, none = scratch[:3], scratch[3:6], scratch[9]
-    speed_scale, turn_scale, turn_offset = control_corrections(setup, biases, none)
+    speed_scale, turn_scale, turn_offset, course = control_corrections(setup, biases, none)
     raw, corrected = scratch[6], scratch[7]
     raw[0], raw[1], raw[c - 1] = control[0], control[1], control[2]
     corrected[0], corrected[1] = speed_scale * raw[0], speed_scale * raw[1]
     corrected[c - 1] = turn_scale * raw[c - 1] + turn_offset
     increment_jacobian(setup, corrected, dt, jac)
     bias_jacobian(setup, raw, c, by_bias)
-    cosine, sine = heading
     matrix[:, :] = 0.0
     _write_turn(heading, step0, matrix)
+    for i in range(nb):
+        if int(setup[BIAS_CODE + i]) == BIAS_COURSE_OFFSET:  # turns the way as the heading does
+            matrix[0, 3 + i], matrix[1, 3 + i] = matrix[0, 2], matrix[1, 2]
+    cosine, sine = math.cos(course), math.sin(course)
+    cosine, sine = heading[0] * cosine - heading[1] * sine, heading[1] * cosine + heading[0] * sine
     for k in range(c):
         scale = turn_scale if k == c - 1 else speed_scale
         gx = cosine * jac[0, k] - sine * jac[1, k]

@@ -22,7 +22,7 @@ from kalmap.kernels.layout import (
     SIGMA_BEARING,
     SIGMA_RANGE,
 )
-from kalmap.kernels.regression import congruence, left_jacobian, regress, square_root, weights, wrap
+from kalmap.kernels.regression import left_jacobian, regress, square_root, weights, wrap
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -64,8 +64,12 @@ def first_bad_noise(noises):
 @njit(cache=True, nogil=True, error_model="numpy")
 def predict_sighting(setup, pose, x, y):
     """(range, bearing) of the point (x, y) from the mounted sensor."""
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = x - pose[0], y - pose[1]
+    return _seen_along(setup, math.cos(pose[2]), math.sin(pose[2]), x - pose[0], y - pose[1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen_along(setup, cosine, sine, dx, dy):
+    """The same for a point (dx, dy) m from the robot, whose heading has this cosine and sine."""
     forward = cosine * dx + sine * dy - setup[MOUNT_X]
     left = cosine * dy - sine * dx - setup[MOUNT_Y]
     return math.hypot(forward, left), wrap(math.atan2(left, forward) - setup[MOUNT_HEADING])
@@ -92,15 +96,19 @@ def _sighting_jacobian(setup, pose, x, y, matrix):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sighting_at(setup, pose, x, y, deviation):
-    """(range, bearing) with (pose, landmark) deviated; in invariant coordinates by a twist about the robot."""
+def _sighting_at(setup, pose, cosine, sine, x, y, deviation):
+    """(range, bearing) with (pose, landmark) deviated; in invariant coordinates by a twist about the robot.
+
+    cosine, sine: of the undeviated heading.
+    """
     if setup[INVARIANT] == 0.0:
         moved = (pose[0] + deviation[0], pose[1] + deviation[1], pose[2] + deviation[2])
         return predict_sighting(setup, moved, x + deviation[3], y + deviation[4])
     # Seen from the robot, only V' (xi_landmark - xi_position) is left of the twist.
     s, v = left_jacobian(deviation[2])
     ux, uy = deviation[3] - deviation[0], deviation[4] - deviation[1]
-    return predict_sighting(setup, pose, x + s * ux + v * uy, y - v * ux + s * uy)
+    dx, dy = x + s * ux + v * uy - pose[0], y - v * ux + s * uy - pose[1]
+    return _seen_along(setup, cosine, sine, dx, dy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,11 +147,12 @@ def regress_sighting(setup, pose, x, y, cov, predicted, matrix, residual):
     spread = weights(setup, 5)[0]
     points = np.empty((2, 5, 2))
     deviation = np.empty(5)
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for i in range(5):
         for sign in range(2):
             for k in range(5):
                 deviation[k] = spread * root[k, i] if sign == 0 else -spread * root[k, i]
-            r, b = _sighting_at(setup, pose, x, y, deviation)
+            r, b = _sighting_at(setup, pose, cosine, sine, x, y, deviation)
             points[sign, i, 0], points[sign, i, 1] = r - distance, wrap(b - bearing)
     offset = np.empty(2)
     regress(setup, points[0], points[1], 5, 2, root, offset, matrix, residual, 0)
@@ -227,32 +236,3 @@ def sighting_block(packed, index, out):
         for k in range(r + 1):
             out[3 + r, 3 + k] = packed[start + index + k]
             out[3 + k, 3 + r] = packed[start + index + k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def innovations(setup, mean, packed, z, noises, indices, squared, log_volume):
-    """Mahalanobis distance squared and ln det S of every sighting with every candidate landmark.
-
-    z: (M, 2). noises: (M, 2, 2). indices: (C,) where each candidate begins. squared, log_volume: (M, C).
-    """
-    cov, matrix, residual = np.empty((5, 5)), np.empty((2, 5)), np.empty((2, 2))
-    predicted, spread = np.empty(2), np.empty((2, 2))
-    for c in range(len(indices)):
-        index = indices[c]
-        sighting_block(packed, index, cov)
-        block = cov.copy()
-        status = regress_sighting(setup, mean, mean[index], mean[index + 1], cov, predicted, matrix, residual)
-        if status != OK:
-            return status
-        congruence(matrix, block, 2, 5, spread)
-        for m in range(len(z)):
-            s00 = spread[0, 0] + residual[0, 0] + noises[m, 0, 0]
-            s01 = spread[0, 1] + residual[0, 1] + noises[m, 0, 1]
-            s11 = spread[1, 1] + residual[1, 1] + noises[m, 1, 1]
-            determinant = s00 * s11 - s01 * s01
-            if not determinant > 0.0 or not s00 > 0.0:
-                return NOT_POSITIVE
-            nu0, nu1 = z[m, 0] - predicted[0], wrap(z[m, 1] - predicted[1])
-            squared[m, c] = (s11 * nu0 * nu0 - 2.0 * s01 * nu0 * nu1 + s00 * nu1 * nu1) / determinant
-            log_volume[m, c] = math.log(determinant)
-    return OK

@@ -163,17 +163,11 @@ def _correct_mean(setup, mean, n, correction, shift):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, left, right):
-    """One joint update with M regressed sightings. Returns (status, NIS).
+def _apply_rows(setup, mean, packed, n, k, root, innovation, left, right):
+    """Correct mean and covariance from the k rows A P in `right` and the root of S. Returns (status, NIS).
 
-    noises: (M, 2, 2), sensor noise plus Lambda. left, right: work space, each at least (2 M + 6, n).
-    After an error nothing has been changed.
+    left: its row k + 2 holds the heading's row of P. After an error nothing has been changed.
     """
-    k = 2 * len(indices)
-    _fill_gain_rows(packed, n, indices, matrices, left, right)
-    root = np.zeros((k, k))
-    if not _innovation_root(indices, matrices, noises, right, root):
-        return INNOVATION_NOT_POSITIVE, 0.0
     correction, shift = np.empty(n), np.empty(n)
     nis = _whiten(root, k, n, right, left, innovation, correction)
     if not math.isfinite(nis):
@@ -197,6 +191,48 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
         rank = k + 2
     add_outer(packed, n, left, right, rank)
     return OK, nis
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, left, right):
+    """One joint update with M regressed sightings. Returns (status, NIS).
+
+    noises: (M, 2, 2), sensor noise plus Lambda. left, right: work space, each at least (2 M + 6, n).
+    After an error nothing has been changed.
+    """
+    k = 2 * len(indices)
+    _fill_gain_rows(packed, n, indices, matrices, left, right)
+    root = np.zeros((k, k))
+    if not _innovation_root(indices, matrices, noises, right, root):
+        return INNOVATION_NOT_POSITIVE, 0.0
+    return _apply_rows(setup, mean, packed, n, k, root, innovation, left, right)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def constrain_equal(setup, mean, packed, n, first, second, extent, left, right):
+    """Make two landmarks one: the observation x_first - x_second = 0. Returns (status, distance squared).
+
+    first, second: where they begin. extent: m, standard deviation of where either seems to be from another side; 0 is a
+    noise-free constraint, for points. Then the covariance is singular in their difference until one is removed.
+    left, right: as for `apply_frame` with one sighting more than two.
+    """
+    _gather_rows(packed, n, np.array([first, second]), left)
+    for r in range(2):
+        for i in range(n):
+            right[r, i] = left[r, i] - left[2 + r, i]
+    left[4, :n] = left[6, :n]
+    root = np.zeros((2, 2))
+    noise = 2.0 * extent * extent
+    s00 = right[0, first] - right[0, second] + noise
+    s10 = right[1, first] - right[1, second]
+    s11 = right[1, first + 1] - right[1, second + 1] + noise
+    if not s00 > 0.0 or not s11 - s10 * s10 / s00 > 0.0:
+        return INNOVATION_NOT_POSITIVE, 0.0
+    root[0, 0] = math.sqrt(s00)
+    root[1, 0] = s10 / root[0, 0]
+    root[1, 1] = math.sqrt(s11 - root[1, 0] * root[1, 0])
+    innovation = np.array([mean[second] - mean[first], mean[second + 1] - mean[first + 1]])
+    return _apply_rows(setup, mean, packed, n, 2, root, innovation, left, right)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import msgspec
 import numpy as np
 
-from kalmap.geometry.se2 import exp_position
+from kalmap.geometry.se2 import exp_position, rotate
 from kalmap.kernels import layout
 from kalmap.records import ConfigError, MotionConfig
 
@@ -21,6 +21,7 @@ BIAS_CODES = {
     "speed_scale": layout.BIAS_SPEED_SCALE,
     "turn_rate_offset": layout.BIAS_TURN_RATE_OFFSET,
     "turn_rate_scale": layout.BIAS_TURN_RATE_SCALE,
+    "course_offset": layout.BIAS_COURSE_OFFSET,
 }
 
 
@@ -94,10 +95,18 @@ class _Biased(msgspec.Struct, frozen=True, kw_only=True):
                 speed = speed + biases[..., i]
             elif bias.name.endswith("_scale"):
                 turn = turn + biases[..., i]
-            else:
+            elif bias.name != "course_offset":
                 offset = offset + biases[..., i]
         ahead = [speed * control[..., k] for k in range(self.control_size - 1)]
         return np.stack([*ahead, turn * control[..., -1] + offset], axis=-1)
+
+    def turned(self, step: np.ndarray, biases: np.ndarray) -> np.ndarray:
+        """The increment with its way turned by the course offset, if that is among the biases."""
+        for i, bias in enumerate(self.biases):
+            if bias.name == "course_offset":
+                angle = biases[..., i]
+                step = np.concatenate([rotate(angle, step[..., :2]), step[..., 2:]], axis=-1)
+        return step
 
     def _turn_noise(self) -> tuple[float, float]:
         raise AttributeError("overridden by every model")
@@ -126,7 +135,12 @@ class _Steered(_Biased, frozen=True, kw_only=True):
     """What the steered vehicles share. sigma_steering: rad."""
 
     sigma_steering: float = float(np.deg2rad(3.0))
-    bias_names: ClassVar[tuple[str, ...]] = ("steering_offset", "steering_scale", "speed_scale")
+    bias_names: ClassVar[tuple[str, ...]] = (
+        "steering_offset",
+        "steering_scale",
+        "speed_scale",
+        "course_offset",
+    )
 
     def _turn_noise(self) -> tuple[float, float]:
         return self.sigma_steering, 0.0
@@ -145,7 +159,8 @@ class VelocitySteering(_Steered, frozen=True, kw_only=True, tag=True):
         control = self.corrected(control, biases)
         distance, steering = control[..., 0] * dt, control[..., 1]
         lateral = distance * np.sin(steering)
-        return np.stack([distance * np.cos(steering), lateral, lateral / self.wheelbase], axis=-1)
+        step = np.stack([distance * np.cos(steering), lateral, lateral / self.wheelbase], axis=-1)
+        return self.turned(step, np.asarray(biases))
 
     def fill(self, setup: np.ndarray) -> None:
         """Write the model's part of the kernels' setup vector."""
@@ -168,7 +183,7 @@ class Ackermann(_Steered, frozen=True, kw_only=True, tag=True):
         control = self.corrected(control, biases)
         tangent = np.tan(control[..., 1])
         distance = control[..., 0] * dt / (1.0 - self.encoder_offset / self.wheelbase * tangent)
-        return _arc(distance, distance * tangent / self.wheelbase)
+        return self.turned(_arc(distance, distance * tangent / self.wheelbase), np.asarray(biases))
 
     def fill(self, setup: np.ndarray) -> None:
         """Write the model's part of the kernels' setup vector."""
@@ -251,6 +266,7 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
         "speed_scale": config.prior_speed_scale,
         "turn_rate_offset": float(np.deg2rad(config.prior_turn_rate_offset_deg)),
         "turn_rate_scale": config.prior_turn_rate_scale,
+        "course_offset": float(np.deg2rad(config.prior_course_offset_deg)),
     }
     for name in config.biases:
         if name not in sigmas:
@@ -261,6 +277,7 @@ def motion_from_config(config: MotionConfig) -> BuiltInMotion:
         "speed_scale": config.mean_speed_scale,
         "turn_rate_offset": float(np.deg2rad(config.mean_turn_rate_offset_deg)),
         "turn_rate_scale": config.mean_turn_rate_scale,
+        "course_offset": float(np.deg2rad(config.mean_course_offset_deg)),
     }
     biases = tuple(Bias(name, sigmas[name], means[name]) for name in config.biases)
     speed: dict[str, Any] = {

@@ -1,8 +1,8 @@
 """SLAM proper: the landmark filters and the run loop."""
 
-from kalmap.slam.build import slam_from_config
+from kalmap.slam.build import ASSOCIATIONS, slam_from_config
 from kalmap.slam.filters import FILTERS, resolve_filter
 from kalmap.slam.landmark import LandmarkSlam
 from kalmap.slam.run import Outcome, run
 
-__all__ = ["FILTERS", "LandmarkSlam", "Outcome", "resolve_filter", "run", "slam_from_config"]
+__all__ = ["ASSOCIATIONS", "FILTERS", "LandmarkSlam", "Outcome", "resolve_filter", "run", "slam_from_config"]

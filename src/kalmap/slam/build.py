@@ -2,31 +2,88 @@
 
 from __future__ import annotations
 
-from kalmap.association import Associator, KnownIds, Likelihood
+from typing import Any
+
+import msgspec
+
+from kalmap.association import (
+    Associator,
+    Attribute,
+    Counter,
+    Djnn,
+    Existence,
+    Jcbb,
+    Keep,
+    KnownIds,
+    Likelihood,
+    Mda,
+    Merging,
+    Nearest,
+    Region,
+    Trial,
+)
+from kalmap.association.management import BuiltInManagement
 from kalmap.models.motion import motion_from_config
 from kalmap.models.sensor import sensor_from_config
-from kalmap.perception import Detector
+from kalmap.perception import Detector, detector_from_config
 from kalmap.records import AssociationConfig, ConfigError, Log, RunConfig
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.landmark import LandmarkSlam
+
+ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn")
+
+_OWN_MANAGEMENT = {"djnn": "counter"}
 
 
 def associator_from_config(config: AssociationConfig) -> Associator:
     """The associator that a configuration describes."""
     if config.method == "known":
         return KnownIds()
-    if config.method != "likelihood":
-        raise ConfigError(f"association.method: {config.method!r} is none of known, likelihood")
-    return Likelihood(
-        gate=config.gate,
-        new_gate=config.new_gate,
-        confirm=config.confirm,
-        confirm_window=config.confirm_window,
-    )
+    shared: dict[str, Any] = {
+        "gate": config.gate,
+        "new_gate": config.new_gate,
+        "extent": config.extent,
+        "ambiguity": config.ambiguity,
+        "region": Region(local=config.local, reliable_range=config.reliable_range),
+        "management": _management(config),
+        "merging": Merging() if config.merge else None,
+        "attributes": tuple(Attribute(**msgspec.structs.asdict(each)) for each in config.attributes),
+    }
+    if config.method == "nearest":
+        return Nearest(one_to_one=config.one_to_one, **shared)
+    if config.method == "likelihood":
+        return Likelihood(**shared)
+    if config.method == "jcbb":
+        return Jcbb(joint_gate=config.joint_gate, work=config.work, **shared)
+    if config.method == "djnn":
+        return Djnn(interference=config.interference, widen=config.widen, **shared)
+    if config.method == "mda":
+        return Mda(
+            window=config.window,
+            detection=config.detection,
+            false_rate=config.false_rate,
+            new_rate=config.new_rate,
+            **shared,
+        )
+    raise ConfigError(f"association.method: {config.method!r} is none of {', '.join(ASSOCIATIONS)}")
+
+
+def _management(config: AssociationConfig) -> BuiltInManagement:
+    name = config.management or _OWN_MANAGEMENT.get(config.method, "trial")
+    if name == "trial":
+        return Trial(confirm=config.confirm, window=config.confirm_window)
+    if name == "counter":
+        return Counter(admit=config.confirm)
+    if name == "existence":
+        return Existence(detection=config.detection, admit=config.existence)
+    return Keep()
 
 
 def slam_from_config(config: RunConfig, log: Log, detector: Detector | None = None) -> LandmarkSlam:
-    """The filter for this log. Raises ConfigError where settings contradict each other."""
+    """The filter for this log. Raises ConfigError where settings contradict each other.
+
+    detector: turns scans into sightings; None builds the one that the configuration names.
+    """
     lineariser, scope = resolve_filter(config.filter)
     return LandmarkSlam(
         motion_from_config(config.motion),
@@ -38,5 +95,5 @@ def slam_from_config(config: RunConfig, log: Log, detector: Detector | None = No
         use=config.filter.use,
         start=log.start,
         start_covariance=log.start_covariance,
-        detector=detector,
+        detector=detector or detector_from_config(config.perception),
     )

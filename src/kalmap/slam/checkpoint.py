@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from kalmap.association import KnownIds, Likelihood
+from kalmap.association import Djnn, Jcbb, KnownIds, Likelihood, Nearest
 from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.models.motion import BuiltInMotion
 from kalmap.models.sensor import RangeBearing
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kalmap.perception import Detector
     from kalmap.slam.landmark import LandmarkSlam
 
-FORMAT = "kalmap-filter/1"
+FORMAT = "kalmap-filter/2"
 
 
 class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -31,7 +31,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     motion: BuiltInMotion
     sensor: RangeBearing
     lineariser: BuiltIn
-    association: KnownIds | Likelihood
+    association: KnownIds | Nearest | Likelihood | Jcbb | Djnn
     scope: str
     coordinates: str
     use: str
@@ -39,6 +39,9 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ids: list[int]
     counts: list[int]
     on_trial: list[int]
+    merged: dict[int, int]
+    rejected: list[int]
+    frames: int
     founded: int
     time: str
     moved: bool
@@ -50,7 +53,6 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
     """Write atomically. Raises ConfigError if the filter holds a model that kalmap cannot name."""
     belief, n = slam._belief, slam._belief.n
-    memory = slam._memory
     try:
         header = msgspec.msgpack.encode(
             _State(
@@ -61,10 +63,13 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
                 scope=slam.scope,
                 coordinates=slam.coordinates,
                 use=slam.use,
-                memory=list(memory.items()) if isinstance(memory, dict) else memory,
+                memory=slam._memory,
                 ids=slam._ids,
                 counts=slam._counts,
                 on_trial=sorted(slam._on_trial),
+                merged=slam.merged,
+                rejected=sorted(slam.rejected),
+                frames=slam._frames,
                 founded=slam._founded,
                 time=slam._time.hex(),
                 moved=slam._moved,
@@ -109,6 +114,7 @@ _DAMAGE = (
     ValueError,
     KeyError,
     TypeError,
+    AttributeError,
     EOFError,
     RuntimeError,
     zipfile.BadZipFile,
@@ -150,10 +156,10 @@ def _rebuild(
     belief.reserve(n)
     belief.mean[:n], belief.packed[: len(packed)], belief.n = mean, packed, n
     belief.phi[:], belief.pending = phi, state.pending
-    slam._memory = dict(state.memory) if isinstance(slam._memory, dict) else list(state.memory)
-    numbers = slam._memory.values() if isinstance(slam._memory, dict) else range(len(slam._memory))
-    if sorted(numbers) != list(range(count)):
+    if not slam.association.fits(state.memory, count):
         raise ValueError("the associator's memory does not fit the map")
+    slam._memory = state.memory
+    slam.merged, slam.rejected, slam._frames = state.merged, set(state.rejected), state.frames
     slam._ids, slam._counts, slam._founded = state.ids, state.counts, state.founded
     slam._on_trial = set(state.on_trial)
     slam._time, slam._moved, slam.step_number = float.fromhex(state.time), state.moved, state.step_number

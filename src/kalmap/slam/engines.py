@@ -14,7 +14,7 @@ import numpy as np
 from kalmap.gaussian import Belief, Function, Lineariser, Regression
 from kalmap.gaussian.roots import NotPositiveError, semidefinite_root
 from kalmap.geometry.angles import wrap
-from kalmap.kernels import layout, motion, sensing, update
+from kalmap.kernels import candidates, layout, motion, sensing, update
 from kalmap.models.charts import NewLandmark, NextPose, SeenLandmark, twist_matrix
 from kalmap.models.motion import BuiltInMotion, MotionModel
 from kalmap.models.sensor import RangeBearing, SensorModel, outlier_distance
@@ -40,10 +40,19 @@ class Engine(Protocol):
         """Found a landmark for every sighting."""
         ...
 
-    def innovations(
-        self, belief: Belief, z: np.ndarray, noises: np.ndarray, indices: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Mahalanobis distance squared and ln det S: two (M, C)."""
+    def expect(self, belief: Belief, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How landmarks should look now; `indices` (C,) are where they begin in the state.
+
+        Returns (C, 2) range and bearing, their regression matrices (C, 2, 5) on (pose, landmark), and their
+        covariances (C, 2, 2) without the sensor's noise.
+        """
+        ...
+
+    def merge(self, belief: Belief, first: int, second: int, extent: float = 0.0) -> None:
+        """Make two landmarks one by the constraint that they are the same; `first`, `second`: where they begin.
+
+        extent: m, how far apart the same thing seems from different sides; 0: a constraint without noise.
+        """
         ...
 
 
@@ -121,17 +130,27 @@ class CompiledEngine:
         _check(status)
         belief.n = n
 
-    def innovations(
-        self, belief: Belief, z: np.ndarray, noises: np.ndarray, indices: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        belief.flush()
-        squared, log_volume = np.empty((len(z), len(indices))), np.empty((len(z), len(indices)))
-        _check(
-            sensing.innovations(
-                self.setup, belief.mean, belief.packed, z, noises, indices, squared, log_volume
-            )
+    def expect(self, belief: Belief, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        count = len(indices)
+        expected, matrices, spreads = np.empty((count, 2)), np.empty((count, 2, 5)), np.empty((count, 2, 2))
+        status = candidates.regress_candidates(
+            self.setup, belief.mean, belief.packed, belief.phi, indices, expected, matrices, spreads
         )
-        return squared, log_volume
+        if status:
+            _check(status)
+        return expected, matrices, spreads
+
+    def merge(self, belief: Belief, first: int, second: int, extent: float = 0.0) -> None:
+        _merge(self.setup, belief, first, second, extent)
+
+
+def _merge(setup: np.ndarray, belief: Belief, first: int, second: int, extent: float) -> None:
+    belief.flush()
+    left, right = belief.work(4)
+    status, _ = update.constrain_equal(
+        setup, belief.mean, belief.packed, belief.n, first, second, extent, left, right
+    )
+    _check(status)
 
 
 class GeneralEngine:
@@ -292,22 +311,19 @@ class GeneralEngine:
                 regression.residual,
             )
 
-    def innovations(
-        self, belief: Belief, z: np.ndarray, noises: np.ndarray, indices: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def expect(self, belief: Belief, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         belief.flush()
-        squared, log_volume = np.empty((len(z), len(indices))), np.empty((len(z), len(indices)))
-        for c, index in enumerate(indices):
-            expected, regression = self._regress_seen(belief, int(index))
-            s = regression.covariance + noises
-            nu = z - expected
-            nu[:, 1] = wrap(nu[:, 1])
-            determinant = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] ** 2
-            if not ((determinant > 0.0) & (s[:, 0, 0] > 0.0)).all():
-                raise NotPositiveError(_PROBLEMS[layout.INNOVATION_NOT_POSITIVE])
-            squared[:, c] = np.einsum("mi,mi->m", nu, np.linalg.solve(s, nu[:, :, None])[:, :, 0])
-            log_volume[:, c] = np.log(determinant)
-        return squared, log_volume
+        seen = [self._regress_seen(belief, int(index)) for index in indices]
+        if not seen:
+            return np.zeros((0, 2)), np.zeros((0, 2, 5)), np.zeros((0, 2, 2))
+        return (
+            np.array([expected for expected, _ in seen]),
+            np.array([regression.matrix for _, regression in seen]),
+            np.array([regression.covariance for _, regression in seen]),
+        )
+
+    def merge(self, belief: Belief, first: int, second: int, extent: float = 0.0) -> None:
+        _merge(self._setup, belief, first, second, extent)
 
 
 def _starts_landmark(index: int, robot: int) -> bool:

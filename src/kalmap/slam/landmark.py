@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from kalmap.association import Associator, KnownIds
+from kalmap.association import Associator, KnownIds, Mda
 from kalmap.gaussian import Belief, CentralDifference, Lineariser, NotPositiveError
+from kalmap.kernels.sensing import first_bad_noise
 from kalmap.models import MotionModel, RangeBearing, SensorModel, VelocitySteering
 from kalmap.perception import Detector
 from kalmap.records import (
     NEW,
+    SPURIOUS,
     Association,
     ConfigError,
     Estimate,
@@ -21,7 +25,9 @@ from kalmap.records import (
     Event,
     EventError,
     Fix,
+    Frame,
     Landmarks,
+    Managed,
     Odometry,
     Scan,
     Sightings,
@@ -29,6 +35,8 @@ from kalmap.records import (
 from kalmap.slam.checkpoint import load_filter, save_filter
 from kalmap.slam.engines import BadSampleError, CompiledEngine, Engine, GeneralEngine
 from kalmap.slam.predicted import PredictedMap
+from kalmap.slam.region import LandmarkIndex
+from kalmap.slam.window import Revisions, Window
 
 
 class LandmarkSlam:
@@ -72,6 +80,9 @@ class LandmarkSlam:
             _block_diagonal(covariance, np.array([bias.sigma**2 for bias in biases])),
         )
         self._memory: Any = self.association.start()
+        self._index = LandmarkIndex()
+        self._window = Window(self, self.association) if isinstance(self.association, Mda) else None
+        self.frame_revisions: Revisions = {}
         self._ids: list[int] = []
         self._counts: list[int] = []
         self._on_trial: set[int] = set()  # lasting numbers of landmarks that are not confirmed yet
@@ -83,6 +94,13 @@ class LandmarkSlam:
         self.frame_nis, self.frame_used = float("nan"), 0
         self.frame_association = Association(np.zeros(0, dtype=np.int64))
         self.frame_labels = np.zeros(0, dtype=np.int64)
+        self.frame_sightings: Sightings | None = None
+        self.explain = False
+        self.frame_decision: Frame | None = None
+        self._frames = 0
+        self.merged: dict[int, int] = {}
+        self.rejected: set[int] = set()
+        self.association_seconds = 0.0
 
     def _make_engine(self) -> Engine:
         for name, value, known in (
@@ -146,6 +164,8 @@ class LandmarkSlam:
             self._engine.predict(self._belief, event)
         except BadSampleError as problem:
             raise EventError(str(problem), time=event.time, field="values") from problem
+        if self._window is not None:
+            self._window.moved(event)
         self.step_number += len(values)
         self._moved = True
 
@@ -159,7 +179,6 @@ class LandmarkSlam:
         z = frame.values
         if not self._moved:
             raise EventError("a sighting before any odometry", time=frame.time, field="time")
-        self.frame_nis, self.frame_used = float("nan"), 0
         if z.ndim != 2 or z.shape[1] != 2:
             raise EventError(f"expected (M, 2) sightings, got {z.shape}", time=frame.time, field="values")
         noises, bad = self._engine.noises(z)
@@ -175,29 +194,57 @@ class LandmarkSlam:
             )
         if frame.covariance is not None:
             _check_shape(frame.covariance, (len(z), 2, 2), frame.time)
+            if first_bad_noise(frame.covariance) >= 0:  # before any of the frame is used
+                raise NotPositiveError("the noise of a sighting is not positive semi-definite")
         noises = noises if frame.covariance is None else frame.covariance
-        predicted = PredictedMap(self._engine, self._belief, self.sensor, z, noises)
-        association, memory = self.association.associate(self._memory, frame, predicted)
-        self.frame_association = association
-        self._apply(frame, association, z, noises)
-        self._memory = memory
+        begin = time.perf_counter()
+        if self._window is None:
+            association = self.association.associate(self._memory, frame, self.predicted(frame, noises))
+        else:
+            association, self.frame_revisions = self._window.decide(frame, noises)
+        self.association_seconds += time.perf_counter() - begin
+        self.take_decided(frame, noises, association)
+        if self._window is not None:
+            self._window.keep()
+
+    def predicted(self, frame: Sightings, noises: np.ndarray) -> PredictedMap:
+        """The map as it should look at a frame that has come now."""
+        return PredictedMap(self._engine, self._belief, self.sensor, self._index, frame, noises, self.explain)
+
+    def take_decided(self, frame: Sightings, noises: np.ndarray, association: Association) -> None:
+        """Carry out what was decided about a frame: update, found, confirm, merge, remove."""
+        self.frame_nis, self.frame_used, self.frame_decision = float("nan"), 0, None
+        before = None
+        if association.why is not None:
+            before = self.predicted(frame, noises).look(association.why, self._ids)
+        self._apply(frame, association, frame.values, noises)
+        self.frame_association, self.frame_sightings = association, frame
+        self.association.settle(self._memory, association)
         if not self.association.uses_ids:
             self._label(association.matched)
         for index in association.confirmed:
             self._on_trial.discard(self._ids[index])
-        for index in sorted(association.retired, reverse=True):
+        if before is not None:
+            self.frame_decision = self._decision(frame, association, before)
+        for keep, drop in association.merged:
+            self._merge(keep, drop)
+        gone = {*association.retired, *(drop for _, drop in association.merged)}
+        for index in sorted(gone, reverse=True):
             self._remove(index)
+        self._frames += 1
 
     def _apply(self, frame: Sightings, association: Association, z: np.ndarray, noises: np.ndarray) -> None:
         matched, count = association.matched.tolist(), len(self._ids)
         robot = self._belief.robot
+        held = self._on_trial.difference(self._ids[index] for index in association.confirmed)
         old = [m for m, index in enumerate(matched) if 0 <= index < count]
-        if old:
-            indices = np.array([robot + 2 * matched[m] for m in old], dtype=np.int64)
-            self.frame_nis = self._engine.update(self._belief, *_pick(z, old), indices, *_pick(noises, old))
-            self.frame_used = len(old)
-            for m in old:
-                self._counts[matched[m]] += 1
+        used = [m for m in old if self._ids[matched[m]] not in held] if held else old
+        if used:
+            indices = np.array([robot + 2 * matched[m] for m in used], dtype=np.int64)
+            self.frame_nis = self._correct(*_pick(z, used), indices, *_pick(noises, used))
+            self.frame_used = len(used)
+        for m in old:
+            self._counts[matched[m]] += 1
         fresh = [m for m, index in enumerate(matched) if index == NEW]
         if fresh:
             self._engine.append(self._belief, *_pick(z, fresh), *_pick(noises, fresh))
@@ -211,12 +258,33 @@ class LandmarkSlam:
         again = [m for m, index in enumerate(matched) if index >= count]
         if again:  # seen twice in the frame that founds it
             indices = np.array([robot + 2 * matched[m] for m in again], dtype=np.int64)
-            self._engine.update(self._belief, *_pick(z, again), indices, *_pick(noises, again))
+            self._correct(*_pick(z, again), indices, *_pick(noises, again))
             for m in again:
                 self._counts[matched[m]] += 1
 
+    def _correct(self, z: np.ndarray, indices: np.ndarray, noises: np.ndarray) -> float:
+        """Apply matched sightings, and tell the index how far that moved the map. Returns the NIS."""
+        belief = self._belief
+        before = belief.mean[belief.robot : belief.n].copy()
+        nis = self._engine.update(belief, z, indices, noises)
+        self._index.moved(_furthest(before, belief.mean[belief.robot : belief.n]))
+        return nis
+
+    def _merge(self, keep: int, drop: int) -> None:
+        """Two landmarks become one: what was known of each is known of it."""
+        belief = self._belief
+        before = belief.mean[belief.robot : belief.n].copy()
+        extent = getattr(self.association, "extent", 0.0)
+        self._engine.merge(belief, belief.robot + 2 * keep, belief.robot + 2 * drop, extent)
+        self._index.moved(_furthest(before, belief.mean[belief.robot : belief.n]))
+        self._counts[keep] += self._counts[drop]
+        self.merged[self._ids[drop]] = self._ids[keep]
+
     def _label(self, matched: np.ndarray) -> None:
         """Leave the landmarks' lasting numbers of this frame in `frame_labels`: (M,), SPURIOUS where unused."""
+        self.frame_labels = self._labels_of(matched)
+
+    def _labels_of(self, matched: np.ndarray) -> np.ndarray:
         labels = matched.copy()
         fresh = len(self._ids) - int((matched == NEW).sum())
         for m, index in enumerate(matched.tolist()):
@@ -225,12 +293,55 @@ class LandmarkSlam:
                 fresh += 1
             elif index >= 0:
                 labels[m] = self._ids[index]
-        self.frame_labels = labels
+        return labels
+
+    def _decision(self, frame: Sightings, association: Association, before: Frame) -> Frame:
+        """The frame's entry in the audit trail: `before` with what became of the sightings."""
+        labels = self.frame_labels if not self.association.uses_ids else self._labels_of(association.matched)
+        assert association.why is not None
+        founded = tuple(
+            Managed(label, "founded", f"by sighting {m}")
+            for m, (label, index) in enumerate(zip(labels.tolist(), association.matched.tolist()))
+            if index == NEW
+        )
+        managed = tuple(
+            Managed(
+                self._ids[entry.landmark],
+                entry.action,
+                entry.why,
+                -1 if entry.into < 0 else self._ids[entry.into],
+            )
+            for entry in association.why.managed
+        )
+        return msgspec.structs.replace(
+            before,
+            number=self._frames,
+            time=frame.time,
+            labels=labels.copy(),
+            trial=np.array([label in self._on_trial for label in labels.tolist()], dtype=np.bool_),
+            why=msgspec.structs.replace(before.why, managed=founded + managed),
+        )
 
     def _remove(self, index: int) -> None:
         self._belief.remove(self._belief.robot + 2 * index, 2)
+        self._index.removed(index)
+        if self._ids[index] in self._on_trial:
+            self.rejected.add(self._ids[index])
         self._on_trial.discard(self._ids[index])
         del self._ids[index], self._counts[index]
+
+    def settled_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Labels given during the run as the map has them now: mergers followed, landmarks never confirmed left out."""
+        settled = labels.copy()
+        for number in np.unique(labels[labels >= 0]).tolist():
+            last = number
+            while last in self.merged:
+                last = self.merged[last]
+            if last in self.rejected or last in self._on_trial:
+                last = SPURIOUS
+            if last != number:
+                settled[labels == number] = last
+        return settled
 
     # --- saving -----------------------------------------------------------------------------------------------
 
@@ -260,6 +371,16 @@ class LandmarkSlam:
         """(3, 3); a copy."""
         return self._belief.robot_covariance()[:3, :3]
 
+    def _existence(self) -> np.ndarray:
+        """(N,) of all landmarks, as the associator has it."""
+        known = getattr(self.association, "existence", None)
+        return np.ones(len(self._ids)) if known is None else np.array(known(self._memory), dtype=float)
+
+    @property
+    def frames_taken(self) -> int:
+        """How many frames of sightings were taken."""
+        return self._frames
+
     @property
     def landmark_count(self) -> int:
         """How many confirmed landmarks the map holds."""
@@ -282,7 +403,7 @@ class LandmarkSlam:
             positions=belief.mean[robot:n].reshape(-1, 2)[kept],
             covariances=belief.landmark_covariances()[kept],
             sightings=np.array(self._counts, dtype=np.int64)[kept],
-            existence=np.ones(len(kept)),
+            existence=self._existence()[kept],
         )
         entries = np.concatenate([np.arange(robot), (robot + 2 * kept[:, None] + np.arange(2)).ravel()])
 
@@ -304,6 +425,11 @@ class LandmarkSlam:
             joint=joint,
             coordinates=self.coordinates,
         )
+
+
+def _furthest(before: np.ndarray, after: np.ndarray) -> float:
+    """An upper bound on how far (m) any point of two lists of x, y, x, y, ... has moved."""
+    return 1.5 * float(np.abs(after - before).max(initial=0.0))
 
 
 def _check_shape(covariance: np.ndarray, shape: tuple[int, ...], time: float) -> None:

@@ -13,6 +13,7 @@ from kalmap.models.motion import BuiltInMotion
 from kalmap.records import (
     Estimate,
     EventError,
+    Frame,
     KalmapError,
     Log,
     LogError,
@@ -31,8 +32,11 @@ class Outcome(msgspec.Struct, frozen=True):
     """What a run came to, also if it was interrupted or met an error: then up to that point.
 
     frames: how many frames of sightings came; sightings: how many sightings they held; runtime: s inside the filter.
-    truth_ids, labels: for each sighting the log's identity and the landmark it was given to (SPURIOUS: none);
-    empty where association was given. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for.
+    labels: for each sighting the landmark that it belongs to in the end (SPURIOUS: none), mergers followed;
+    truth_ids: the identity that the log gives it; times (K,) s and values (K, 2) of the sightings themselves.
+    All four are empty where association was given, truth_ids also where the log has none. association_seconds:
+    s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if it was asked
+    for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for.
     """
 
     estimate: Estimate
@@ -44,6 +48,10 @@ class Outcome(msgspec.Struct, frozen=True):
     skipped_total: int
     truth_ids: np.ndarray
     labels: np.ndarray
+    times: np.ndarray
+    values: np.ndarray
+    association_seconds: float
+    decisions: list[Frame]
     dead_reckoning: tuple[np.ndarray, np.ndarray] | None
     error: KalmapError | None
     interrupted: bool
@@ -104,14 +112,17 @@ def run(
     tolerant: bool = False,
     progress: Callable[[float], None] | None = None,
     reckon: bool = True,
+    explain: bool = False,
 ) -> Outcome:
     """Feed every event of the log to the filter.
 
     tolerant: pass bad records over, listed and counted; else the first one ends the run and is the outcome's
     `error`. progress: called with the time reached, about a hundred times a second at most. reckon: integrate
-    the odometry alone beside the filter. Ctrl-C ends the run with what there is.
+    the odometry alone beside the filter. explain: keep the audit trail of an association by place. Ctrl-C ends
+    the run with what there is.
     """
     loop = _Loop(slam, log, tolerant, reckon)
+    slam.explain = explain and not slam.association.uses_ids
     error: KalmapError | None = None
     interrupted = False
     shown = 0.0
@@ -141,9 +152,14 @@ def warm_up(slam: LandmarkSlam) -> None:
         use=slam.use,
     )
     motion = np.full((2, slam.motion.control_size), 1e-3)
+    values = np.array([[5.0, 0.1], [5.2, 0.1], [8.0, -0.3]])  # two of them compete
+    named = getattr(slam.association, "attributes", ())
+    attributes = {each.name: np.ones(len(values)) for each in named}
     for number in range(3):
         twin.step(Odometry(float(number), motion, np.full(2, 0.01)))
-        twin.step(Sightings(float(number), np.array([[5.0, 0.1]]), ids=np.zeros(1, dtype=np.int64)))
+        twin.step(
+            Sightings(float(number), values, np.arange(len(values), dtype=np.int64), attributes=attributes)
+        )
 
 
 class _Loop:
@@ -152,12 +168,15 @@ class _Loop:
     def __init__(self, slam: LandmarkSlam, log: Log, tolerant: bool, reckon: bool) -> None:
         self.slam, self.log, self.tolerant = slam, log, tolerant
         self.recorder = Recorder()
+        self.first = slam.frames_taken
         self.frames = self.sightings = self.skipped_total = 0
         self.runtime = 0.0
         self.skipped: list[Skipped] = []
         self.truth: list[np.ndarray] = []
         self.labels: list[np.ndarray] = []
-        self.scored = log.truth_ids and not slam.association.uses_ids
+        self.seen: list[Sightings] = []
+        self.decisions: list[Frame] = []
+        self.scored = not slam.association.uses_ids
         self.reckoner = _reckoner(slam, log) if reckon else None
 
     def skip(self, record: Skipped) -> None:
@@ -189,10 +208,22 @@ class _Loop:
             self.recorder.row(self.slam, self.slam.frame_nis, self.slam.frame_used, self._reckoned())
 
     def _count(self, event: Sightings | Scan) -> None:
-        self.sightings += len(self.slam.frame_association.matched)
-        if self.scored and isinstance(event, Sightings) and event.ids is not None:
-            self.truth.append(event.ids)
+        seen = self.slam.frame_sightings
+        assert seen is not None
+        self.sightings += len(seen.values)
+        for number, (labels, decision) in self.slam.frame_revisions.items():
+            row = number - self.first
+            if row >= 0:  # a frame that was seen before this run began has no row
+                self.labels[row] = labels
+                if decision is not None:
+                    self.decisions[row] = decision
+        if self.slam.frame_decision is not None:
+            self.decisions.append(self.slam.frame_decision)
+        if self.scored:
+            self.seen.append(seen)
             self.labels.append(self.slam.frame_labels)
+            if self.log.truth_ids and seen.ids is not None:
+                self.truth.append(seen.ids)
 
     def _reckoned(self) -> np.ndarray:
         return self.slam.pose if self.reckoner is None else self.reckoner.pose
@@ -223,7 +254,16 @@ class _Loop:
             skipped=self.skipped,
             skipped_total=self.skipped_total,
             truth_ids=np.concatenate(self.truth) if self.truth else np.zeros(0, dtype=np.int64),
-            labels=np.concatenate(self.labels) if self.labels else np.zeros(0, dtype=np.int64),
+            labels=self.slam.settled_labels(
+                np.concatenate(self.labels) if self.labels else np.zeros(0, dtype=np.int64)
+            ),
+            times=np.repeat(
+                np.array([seen.time for seen in self.seen]),
+                np.array([len(seen.values) for seen in self.seen], dtype=np.int64),
+            ),
+            values=np.concatenate([seen.values for seen in self.seen]) if self.seen else np.zeros((0, 2)),
+            association_seconds=self.slam.association_seconds,
+            decisions=self.decisions,
             dead_reckoning=reckoned,
             error=error,
             interrupted=interrupted,

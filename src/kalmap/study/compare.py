@@ -18,7 +18,7 @@ from kalmap.records import (
     RunConfig,
 )
 from kalmap.simulate import World
-from kalmap.slam import FILTERS, Outcome, resolve_filter, run, slam_from_config
+from kalmap.slam import ASSOCIATIONS, FILTERS, Outcome, resolve_filter, run, slam_from_config
 from kalmap.study.cases import Method, judge
 from kalmap.study.montecarlo import Progress, run_study
 from kalmap.study.result import StudyResult
@@ -59,32 +59,43 @@ class PairedRow(msgspec.Struct, frozen=True):
     test: PairedTest | None
 
 
-def parse_method(text: str, base: FilterConfig | None = None) -> tuple[str, FilterConfig]:
-    """(name, filter) of "ekf", "cr-cdkf:additive", "ekf:invariant:sequential".
+def parse_method(
+    text: str, base: FilterConfig | None = None, association: AssociationConfig | None = None
+) -> Method:
+    """The method of "ekf", "cr-cdkf:additive", "ekf:invariant:sequential", "cr-cdkf:djnn".
 
-    base: where coordinates and use come from if the text does not say; the scope is the name's. The name is
-    the text in lower case, as a label. Raises `ConfigError` for unknown names, listing those that exist.
+    association: where its settings come from if the text names a method of association. base: where coordinates
+    and use come from if the text does not say; the scope is the name's. The name is the text in lower case, as
+    a label. Raises `ConfigError` for unknown names, listing those that exist.
     """
     label = text.strip().lower()
     name, *suffixes = label.split(":")
     if name not in FILTERS:
         raise ConfigError(f"method {text!r}: unknown filter {name!r}; known are {', '.join(FILTERS)}")
     said: dict[str, str] = {}
+    own: AssociationConfig | None = None
     for suffix in suffixes:
+        if suffix in ASSOCIATIONS:
+            if own is not None and own.method != suffix:
+                raise ConfigError(f"method {text!r}: {own.method} and {suffix} contradict each other")
+            own = msgspec.structs.replace(association or AssociationConfig(), method=suffix)
+            continue
         if suffix not in _SUFFIXES:
-            known = ", ".join(f":{known}" for known in _SUFFIXES)
+            known = ", ".join(f":{known}" for known in (*_SUFFIXES, *ASSOCIATIONS))
             raise ConfigError(f"method {text!r}: unknown suffix {suffix!r}; known are {known}")
         field, value = _SUFFIXES[suffix]
         if said.setdefault(field, value) != value:
             raise ConfigError(f"method {text!r}: {said[field]} and {value} contradict each other")
     parsed = msgspec.structs.replace(base or FilterConfig(), name=name, scope=None, **said)
     resolve_filter(parsed)
-    return label, parsed
+    return Method(label, parsed, own)
 
 
-def parse_methods(texts: Iterable[str], base: FilterConfig | None = None) -> list[Method]:
+def parse_methods(
+    texts: Iterable[str], base: FilterConfig | None = None, association: AssociationConfig | None = None
+) -> list[Method]:
     """Several of them, each at most once."""
-    methods = [Method(*parse_method(text, base)) for text in texts]
+    methods = [parse_method(text, base, association) for text in texts]
     names = [method.name for method in methods]
     for name in names:
         if names.count(name) > 1:
@@ -110,7 +121,9 @@ def compare_methods(
     base = config or log.defaults
     results = []
     for method in methods:
-        chosen = msgspec.structs.replace(base, filter=method.filter)
+        chosen = msgspec.structs.replace(
+            base, filter=method.filter, association=method.association or base.association
+        )
         results.append(_one(log, method.name, chosen, detector, tolerant, progress))
         outcome = results[-1].outcome
         if outcome is not None and outcome.interrupted:
