@@ -24,11 +24,13 @@ from kalmap.records import Log, Manifest, Reference, RunConfig
 from kalmap.slam import Outcome
 from kalmap.study.cases import judge
 from kalmap.study.compare import Compared
+from kalmap.study.trail import FIGURE, save_trail
 from kalmap.view import (
     Aligned,
     Errors,
     RunView,
     comparison_figures,
+    decision_figure,
     render_comparison,
     render_report,
     run_figures,
@@ -152,11 +154,14 @@ def save_run(
     metrics = judge(outcome, log, config)
     manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
     write_result(folder, estimate=outcome.estimate, trace=outcome.trace, metrics=metrics, manifest=manifest)
+    trail, worst = save_trail(folder, outcome, manifest)
     if figures:
         view = run_view(outcome, log, method_label(config))
         drawn = run_figures(view)
+        if worst is not None:
+            drawn[FIGURE] = decision_figure(worst)
         save_figures(folder / "figures", drawn)
-        page = render_report(view, metrics=metrics, manifest=manifest, figures=drawn)
+        page = render_report(view, metrics=metrics, manifest=manifest, figures=drawn, trail=trail)
         write_atomically(folder / "report.html", page.encode())
     return metrics
 

@@ -1,9 +1,12 @@
 """Pictures and pages of results: plain records in, matplotlib figures and self-contained HTML out."""
 
+from kalmap.view.compare_figure import maps_figure
 from kalmap.view.comparison import render_comparison, render_study
+from kalmap.view.decision_figure import decision_figure
+from kalmap.view.dots_figure import dots_figure
 from kalmap.view.figures import comparison_figures, run_figures
-from kalmap.view.inputs import Aligned, Errors, RunView, StudyCurve, StudyRow, StudyTable
-from kalmap.view.report import render_report
+from kalmap.view.inputs import Aligned, Errors, RunView, StudyCurve, StudyDots, StudyRow, StudyTable
+from kalmap.view.report import Trail, render_report
 from kalmap.view.study_figure import study_figure
 from kalmap.view.style import save_figures
 
@@ -12,9 +15,14 @@ __all__ = [
     "Errors",
     "RunView",
     "StudyCurve",
+    "StudyDots",
     "StudyRow",
     "StudyTable",
+    "Trail",
     "comparison_figures",
+    "decision_figure",
+    "dots_figure",
+    "maps_figure",
     "render_comparison",
     "render_report",
     "render_study",

@@ -31,6 +31,11 @@ CAPTIONS = {
         "with what the filter expected and needs no truth."
     ),
     "timing": "How long each odometry sample took, the update by a frame of sightings counted in.",
+    "association": (
+        "The frame in which most was decided in doubt, or where nothing was, most was seen. A sighting may go to a "
+        "landmark in whose gate it lies. The close-ups show the sightings in most doubt (s and a number, as "
+        "`kalmap why` counts them), with lines to the landmark each got and to the nearest three that it did not get."
+    ),
     "maps": "The maps side by side, at the same scale.",
     "error-curves": "Distance to the reference position, and size of the heading error, over time.",
     "metrics": "Metrics by method. A dashed line is the right value; elsewhere, shorter errors are better.",

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from kalmap.records import Landmarks, Manifest
+from kalmap.records import REASONS, Landmarks, Manifest
+from kalmap.records.trail import TrailSummary
 from kalmap.view import page
 from kalmap.view.figures import CAPTIONS, run_figures
 from kalmap.view.inputs import RunView
@@ -20,6 +21,18 @@ if TYPE_CHECKING:
 
 _LANDMARKS_SHOWN = 50
 _SKIPPED_SHOWN = 50
+_ASSOCIATION = "association"  # the figure that stands in the section of this name
+
+
+class Trail(msgspec.Struct, frozen=True):
+    """The audit trail as a report speaks of it.
+
+    file: its name beside the report. command: what to type to ask it about a frame, the frame's number left out.
+    """
+
+    summary: TrailSummary
+    file: str
+    command: str
 
 
 def render_report(
@@ -29,21 +42,23 @@ def render_report(
     manifest: Manifest,
     figures: Mapping[str, Figure] | None = None,
     warnings: Sequence[str] = (),
+    trail: Trail | None = None,
 ) -> str:
     """The page of a run as HTML.
 
     metrics: as in `metrics.json`, nested as it likes; None or NaN reads as unknown.
     figures: name -> figure; drawn here if not given. warnings: what the reader must know first.
+    trail: adds a section on data association, with the figure called "association" if there is one.
     """
     figures = run_figures(run) if figures is None else figures
-    pictures = "\n".join(
-        page.picture(figure, name, CAPTIONS.get(name, name)) for name, figure in figures.items()
-    )
+    drawn = {name: page.picture(figure, name, CAPTIONS.get(name, name)) for name, figure in figures.items()}
+    decisions = drawn.pop(_ASSOCIATION, "")
     sections = (
         ("warnings", "Warnings", page.warnings_html([*_failures(manifest), *warnings])),
         ("summary", "At a glance", page.cards(summary_cards(run))),
-        ("figures", "Pictures", pictures),
+        ("figures", "Pictures", "\n".join(drawn.values())),
         ("metrics", "Metrics", _metrics(metrics)),
+        (_ASSOCIATION, "Association", "" if trail is None else _association(trail) + decisions),
         ("landmarks", "Landmarks", _landmarks(run.estimate.landmarks)),
         ("biases", "Biases estimated", _biases(run.estimate.biases)),
         ("skipped", "Skipped records", _skipped(manifest)),
@@ -120,6 +135,35 @@ def _metrics(metrics: Mapping[str, Any]) -> str:
         f'<p class="soft">Not known for this run: {page.text("; ".join(unknown))}.</p>' if unknown else ""
     )
     return page.table(("metric", "value", "", "what it says"), rows, numeric=(1,)) + missing
+
+
+def _association(trail: Trail) -> str:
+    """HTML of the audit trail's counts, and of how to ask it."""
+    counts = trail.summary
+    rows = [(REASONS.get(reason, reason), number) for reason, number in sorted(counts.reasons.items())]
+    sentences = [
+        f"{counts.sightings} sightings in {counts.frames} frames: {counts.matched} matched, {counts.founded} founded "
+        f"a landmark, {counts.unused} left unused.",
+        f"{counts.landmarks} landmarks were founded or known: {counts.confirmed} ended in the map, {counts.trial} on "
+        f"trial, {counts.retired} retired, {counts.merged} merged into another.",
+    ]
+    if counts.worst:
+        share = f"{counts.trouble.total} sightings of {counts.troubled} frames"
+        sentences.append(f"Decided in doubt: {share} ({counts.trouble.in_words()}).")
+    told = "".join(f"<p>{page.text(sentence)}</p>" for sentence in sentences)
+    worst = [(number, f"{time:.6g}", found.in_words()) for number, time, found in counts.worst]
+    frame = counts.worst[0][0] if counts.worst else counts.first or 0
+    link = f'<a href="{page.text(trail.file)}">{page.text(trail.file)}</a>'
+    ask = (
+        f"<p>Every decision with its candidates, distances, gate and reason is in {link}. To ask about a frame, or "
+        f"with <code>--landmark N</code> for the story of a landmark:</p>"
+        f"<pre>{page.text(f'{trail.command} --frame {frame}')}</pre>"
+    )
+    tables = page.table(("sightings went where they went because", "count"), rows, numeric=(1,))
+    if worst:
+        tables += "<h3>Frames with the most trouble</h3>"
+        tables += page.table(("frame", "time (s)", "decided in doubt"), worst, numeric=(0, 1))
+    return told + ask + tables
 
 
 def _landmarks(landmarks: Landmarks) -> str:
