@@ -16,6 +16,8 @@ SHORT = ["--set", "world.laps=1"]
 TIMED = "time,duration,speed,steering"
 MOVED = "time,dx,dy,dtheta"
 
+KEPT = ["--set", "association.management=keep"]
+
 # name -> (log, options, exit code, words of the error, landmarks in the map)
 LOGS = {
     "odometry only": ({"sightings": None}, [], 0, "", 0),
@@ -50,10 +52,15 @@ LOGS = {
     "twice in a frame": ({"sightings": ["0.05,4,0.3,7", "0.05,4.01,0.3,7", "0.15,4,0.3,7"]}, [], 0, "", 1),
     "twice, likelihood": (
         {"sightings": ["0.05,4,0.3,7", "0.05,9,0.3,7", "0.15,4,0.3,7"]},
-        *(["--association", "likelihood"], 0, "", 2),
+        *(["--association", "likelihood"], 0, "", 1),  # 9 m was seen once: on trial still
+    ),
+    "twice, likelihood, all kept": (
+        {"sightings": ["0.05,4,0.3,7", "0.05,9,0.3,7", "0.15,4,0.3,7"]},
+        *(["--association", "likelihood", *KEPT], 0, "", 2),
     ),
     "empty frames": ({"sightings": ["0.05,,,", "0.15,4,0.3,7", "0.25,,,"]}, [], 0, "", 1),
-    "no ids": ({"sightings": ["0.05,4,0.3"], "seen": "time,range,bearing"}, [], 0, "", 1),
+    "no ids": ({"sightings": ["0.05,4,0.3"], "seen": "time,range,bearing"}, [], 0, "", 0),
+    "no ids, all kept": ({"sightings": ["0.05,4,0.3"], "seen": "time,range,bearing"}, KEPT, 0, "", 1),
     "no ids, known": (
         {"sightings": ["0.05,4,0.3"], "seen": "time,range,bearing"},
         *(

@@ -17,6 +17,7 @@ _SHOWN = (
     "feature_rmse_m",
     "nees_mean",
     "nis_mean",
+    "association_f1",
     "step_ms_mean",
     "landmarks",
 )
@@ -28,7 +29,8 @@ _SHOWN = (
     "--methods",
     required=True,
     metavar="A,B,...",
-    help="Filters by name, each with :additive, :invariant, :joint or :sequential behind it if wanted.",
+    help="Filters by name; behind each, if wanted, :additive, :invariant, :joint, :sequential or an association, as in "
+    "cr-cdkf:djnn.",
 )
 @click.option(
     "--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of a simulated world."
@@ -57,7 +59,6 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     from kalmap.cli.run import merge_seed
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import open_source
-    from kalmap.perception import ReflectorDetector
     from kalmap.records import RunConfig
     from kalmap.study import compare_methods, parse_methods
     from kalmap.study.present import save_comparison
@@ -67,7 +68,7 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
     log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"])
     config = resolve(log.defaults, merge_seed(settings, seed))
-    chosen = parse_methods(methods.split(","), config.filter)
+    chosen = parse_methods(methods.split(","), config.filter, config.association)
     folder = make_folder(out or default_folder("kalmap-compare", log.name))
     span = time_span(log)
     with progress_bar(log.name, given["quiet"]) as show, stop_between_events() as stop:
@@ -81,7 +82,6 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
             log,
             chosen,
             config=config,
-            detector=ReflectorDetector(),
             tolerant=config.tolerant,
             progress=reached,
         )
@@ -130,7 +130,7 @@ def _seeds(
     if extra:
         raise ConfigError(f"{extra[0]}: with --runs the filters take the world's own noise and sensor")
     config = resolve(RunConfig(), settings)
-    chosen = parse_methods(methods.split(","), config.filter)
+    chosen = parse_methods(methods.split(","), config.filter, config.association)
     folder = out or Path(f"kalmap-compare-{world.name}")
     folder.mkdir(parents=True, exist_ok=True)
     with progress_bar(world.name, given["quiet"]) as show:

@@ -15,11 +15,31 @@ def command(out: Path, seed: int, quiet: bool) -> None:
     """Drive the built-in course twice, map its 35 features, and write map, figures and report."""
     from kalmap.cli.run import run_once
 
-    given = dict.fromkeys(("scope", "coordinates", "use", "association", "config_file", "robot", "variant"))
+    given = dict.fromkeys(
+        (
+            "scope",
+            "coordinates",
+            "use",
+            "association",
+            "management",
+            "detector",
+            "config_file",
+            "robot",
+            "variant",
+        )
+    )
     code, _ = run_once(
         "course-35",
         out,
-        {**given, "pairs": (), "seed": seed, "tolerant": False, "quiet": quiet, "no_figures": False},
+        {
+            **given,
+            "pairs": (),
+            "seed": seed,
+            "tolerant": False,
+            "quiet": quiet,
+            "no_figures": False,
+            "audit": True,
+        },
         None,
     )
     if not quiet and code == 0:

@@ -20,8 +20,16 @@ _SHARED = (
     ),
     click.option(
         "--association",
-        type=click.Choice(["known", "likelihood"]),
-        help="By the log's ids, or by likelihood.",
+        type=click.Choice(["known", "nearest", "likelihood", "jcbb", "mda", "djnn"]),
+        help="By the log's ids, or by place in one of five ways.",
+    ),
+    click.option(
+        "--management",
+        type=click.Choice(["keep", "trial", "counter", "existence"]),
+        help="Which new landmarks are believed.",
+    ),
+    click.option(
+        "--detector", type=click.Choice(["reflectors", "trees"]), help="What is looked for in scans."
     ),
     click.option("--config", "config_file", type=click.Path(path_type=Path), help="TOML or JSON settings."),
     click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One setting; may be repeated."),
@@ -53,8 +61,13 @@ def gather(given: dict[str, Any]) -> tuple[Settings, dict[str, Any]]:
         flags["filter"]["name"] = "cdkf"  # the default filter's full form
     if given.get("filter_name") is not None:
         flags.setdefault("filter", {})["name"] = given["filter_name"]
-    if given["association"] is not None:
-        flags["association"] = {"method": given["association"]}
+    for key, table, field in (
+        ("association", "association", "method"),
+        ("management", "association", "management"),
+        ("detector", "perception", "detector"),
+    ):
+        if given[key] is not None:
+            flags.setdefault(table, {})[field] = given[key]
     if given["seed"] is not None:
         flags["seed"] = given["seed"]
     if given["tolerant"]:

@@ -17,12 +17,16 @@ from kalmap.cli.options import FILTER_NAMES, gather, parse_robot, shared_options
 @click.option("--filter", "filter_name", type=click.Choice(FILTER_NAMES), help="Default: cr-cdkf.")
 @click.option("--out", type=click.Path(path_type=Path), help="Result folder; default kalmap-LOG.")
 @click.option("--no-figures", is_flag=True, help="Write neither figures nor report.")
+@click.option(
+    "--audit/--no-audit", default=True, help="Keep why each sighting went where it went (see kalmap why)."
+)
 @shared_options
 def command(log: str, out: Path | None, **given: Any) -> None:
     """Run a filter over LOG and write a result folder.
 
     LOG is a folder or file (Victoria Park, car park, MRCLAM, DLR, csv; or a map for the simulator), or the name of
-    a world: course-35, course-70, bailey-35, bailey-70, course-N, same-N, wide-N, lawn-N.
+    a world: course-35, course-70, bailey-35, bailey-70, course-N, same-N, wide-N, lawn-N; or one made to break
+    association: djnn-N (N movers), clutter-N, missed-35, doubles-35, orchard, clusters, breaker, grove (laser scans).
     """
     if given["robot"] == "all":
         _every_robot(log, out, given)
@@ -59,7 +63,6 @@ def run_once(
     from kalmap.cli.progress import progress_bar, summary_line, time_span
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import open_source
-    from kalmap.perception import ReflectorDetector
     from kalmap.records import EstimationError, RunConfig
 
     started = datetime.now(UTC)
@@ -71,7 +74,7 @@ def run_once(
     from kalmap.slam import run, slam_from_config
     from kalmap.study.present import method_label, save_run
 
-    slam = slam_from_config(config, log, ReflectorDetector())
+    slam = slam_from_config(config, log)
     folder = make_folder(out or default_folder("kalmap", log.name))
     span, figures = time_span(log), not given["no_figures"]
     title = f"{log.name}: {method_label(config)}"
@@ -82,7 +85,7 @@ def run_once(
             if show is not None:
                 show(now - span[0] if span else 0.0, span[1] - span[0] if span else None)
 
-        outcome = run(slam, log, tolerant=config.tolerant, progress=reached)
+        outcome = run(slam, log, tolerant=config.tolerant, progress=reached, explain=given["audit"])
     if not figures:
         drop_drawn(folder)
     try:
