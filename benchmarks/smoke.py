@@ -8,16 +8,20 @@ from __future__ import annotations
 import sys
 import time
 
-import scaling  # sets one BLAS thread before numpy comes
+import association  # sets one BLAS thread before numpy comes
+import scaling
 
+import msgspec  # isort: skip
 import numpy as np  # isort: skip
 
-from kalmap import slam_from_config
-from kalmap.evaluation import pose_nees
+from kalmap import run, slam_from_config
+from kalmap.evaluation import pose_nees, score_pairs
+from kalmap.records import AssociationConfig
 from kalmap.simulate import simulate, world_by_name
 
 SLOPE, BLAS_RATIO, BUFFERS = 2.4, 2.5, 1.3
 STEP_SHARE = 0.1  # of n^2 doubles: what a step may allocate at n = 2,003
+DJNN_US, DJNN_F1, DJNN_FEATURES = 250.0, 0.9, 400.0  # a frame at 300 landmarks; djnn-10 with the defaults
 MS_PER_SCAN, POSITION_M, FEATURES_M, NEES = 1.0, 12.0, 8.0, 12.0  # course-35, the default filter
 
 
@@ -49,6 +53,17 @@ def course_35(seeds: range) -> dict[str, float]:
     }
 
 
+def djnn_10() -> dict[str, float]:
+    """DJNN without ids in the paper's world with 10 movers: pairwise F1 and features in the map."""
+    log = simulate(world_by_name("djnn-10"), 1)
+    config = msgspec.structs.replace(log.defaults, association=AssociationConfig(method="djnn"))
+    outcome = run(slam_from_config(config, log), log, reckon=False)
+    return {
+        "f1": score_pairs(outcome.truth_ids, outcome.labels).f1 or 0.0,
+        "features": float(len(outcome.estimate.landmarks)),
+    }
+
+
 def checks() -> list[tuple[str, float, float]]:
     """(what, measured, at most)."""
     scaling.Course(100, "cr-cdkf").timed(5)  # compiles
@@ -57,7 +72,12 @@ def checks() -> list[tuple[str, float, float]]:
     blas = scaling.against_blas("cr-cdkf", "invariant", 12, 8)
     step = scaling.step_memory(2003, "cr-cdkf")
     grown = scaling.map_memory(1003, "cr-cdkf")
+    paper = djnn_10()
+    frame = association.measure((300,), 100, 3, ("djnn",))[0]
     return [
+        ("DJNN at 300 landmarks, CPU us a frame", frame["median_us"], DJNN_US),
+        ("djnn-10, pairwise F1 of DJNN: what is missing to 1", 1.0 - paper["f1"], 1.0 - DJNN_F1),
+        ("djnn-10, features in DJNN's map (252 are real)", paper["features"], DJNN_FEATURES),
         ("slope of a frame's time in n, 100 to 2,000",
          scaling.slope(scaling.frame_times((100, 300, 1000, 2000), "cr-cdkf", 8)), SLOPE),
         ("rank-20 update at n = 2,003 over dsyrk", blas["ratio"], BLAS_RATIO),
