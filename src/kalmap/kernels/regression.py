@@ -26,6 +26,7 @@ from kalmap.kernels.layout import (
 ZERO_PIVOT = 1e-13  # a pivot below this share of its diagonal is a zero direction of a semi-definite matrix
 ZERO_COLUMN = 1e-4  # what may stand beside a zero pivot, as a correlation: |entry|^2 <= pivot times diagonal
 NEGATIVE_PIVOT = -1e-9  # below this share the matrix is not a covariance
+ROUNDING = 1e-14  # relative error of a pivot before cancellation, with room for the sums that made the matrix
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -48,34 +49,62 @@ def weights(setup, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def square_root(cov, n, root):
-    """Lower root of a semi-definite matrix: a zero pivot gives a zero column. False if it is indefinite."""
-    for j in range(n):
-        pivot = cov[j, j]
-        for k in range(j):
-            pivot -= root[j, k] * root[j, k]
-        scale = abs(cov[j, j])
-        if not (pivot >= NEGATIVE_PIVOT * scale):
-            return False
-        for i in range(j):
-            root[i, j] = 0.0
-        if pivot <= ZERO_PIVOT * scale:
-            for i in range(j, n):
-                root[i, j] = 0.0
-            for i in range(j + 1, n):  # a semi-definite matrix has nothing beside a zero pivot
-                total = cov[i, j]
-                for k in range(j):
-                    total -= root[i, k] * root[j, k]
-                other = abs(cov[i, i])
-                if not (abs(total) <= ZERO_COLUMN * math.sqrt(scale * other) + 1e-12 * other):
-                    return False
-            continue
+def _root_column(cov, n, root, j, slack, spread):
+    """Column j of the root; False if the matrix is not semi-definite there. slack (n,): rounding of each row's pivot.
+
+    A pivot within its rounding of zero gives a zero column. spread: share of its diagonal that counts as zero at least.
+    """
+    pivot = cov[j, j]
+    for k in range(j):
+        pivot -= root[j, k] * root[j, k]
+    scale = abs(cov[j, j])
+    if not (pivot >= NEGATIVE_PIVOT * scale - slack[j]):
+        return False
+    for i in range(j):
+        root[i, j] = 0.0
+    zero = pivot <= max(spread * scale, slack[j])
+    if not zero:
         root[j, j] = math.sqrt(pivot)
-        for i in range(j + 1, n):
-            total = cov[i, j]
-            for k in range(j):
-                total -= root[i, k] * root[j, k]
+    else:
+        root[j, j] = 0.0
+    for i in range(j + 1, n):
+        total = cov[i, j]
+        for k in range(j):
+            total -= root[i, k] * root[j, k]
+        if not zero:
             root[i, j] = total / root[j, j]
+            continue
+        root[i, j] = 0.0  # a semi-definite matrix has nothing beside a zero pivot
+        other = abs(cov[i, i])
+        rounding = math.sqrt(slack[i] * slack[j])
+        if not (abs(total) <= ZERO_COLUMN * math.sqrt(scale * other) + 1e-12 * other + rounding):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def square_root(cov, n, root):
+    """Lower root of a semi-definite matrix: a zero pivot gives a zero column. False if it is indefinite.
+
+    Where the plain recursion fails it is done again with a running bound on its rounding errors: a tiny pivot, such as
+    the way across of a vehicle that has just started, magnifies them in the rows below, which must not look indefinite.
+    """
+    slack = np.zeros(n)
+    plain = True
+    for j in range(n):
+        if not _root_column(cov, n, root, j, slack, ZERO_PIVOT):
+            plain = False
+            break
+    if plain:
+        return True
+    slack[:] = 0.0
+    for j in range(n):
+        if not _root_column(cov, n, root, j, slack, ZERO_PIVOT):
+            return False
+        if root[j, j] > 0.0:
+            share = ROUNDING * abs(cov[j, j]) / (root[j, j] * root[j, j])
+            for i in range(j + 1, n):
+                slack[i] += share * root[i, j] * root[i, j]
     return True
 
 
