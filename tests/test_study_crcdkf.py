@@ -10,7 +10,7 @@ from kalmap.study.cases import METRICS, Joint
 from kalmap.study.claims import better, bounded, claims_markdown, not_comparable, tally
 from kalmap.study.crcdkf import crcdkf_claims
 from kalmap.study.crcdkf_cases import Agreement, agreement, make_plan
-from kalmap.study.crcdkf_report import crcdkf_markdown
+from kalmap.study.crcdkf_report import crcdkf_report
 
 
 def fake_maps(name):
@@ -104,7 +104,7 @@ def test_the_full_filter_has_its_own_number_of_runs_and_stands_in_the_table():
     assert count["bailey-35", "cdkf:additive"] == 2 and count["bailey-35", "ekf:additive"] == 3
     assert ("bailey-70", "cdkf:additive") not in count and ("bailey-70", "cr-ckf:invariant") in count
     result = fabricate(plan, as_published)
-    text = crcdkf_markdown(plan, result, [], [])
+    text = crcdkf_report(plan, result, []).markdown()
     rows = [line for line in text.splitlines() if line.startswith("| cdkf:additive")]
     (row,) = rows
     cells = [cell.strip() for cell in row.strip("|").split("|")]

@@ -118,7 +118,7 @@ def _seeds(
     from kalmap.cli.progress import progress_bar
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import find_world
-    from kalmap.records import ConfigError, RunConfig
+    from kalmap.records import ConfigError
     from kalmap.study import compare_seeds, parse_methods
     from kalmap.study.seeds_report import write_seeds
 
@@ -129,7 +129,7 @@ def _seeds(
     extra = sorted(set(settings) - {"filter", "association", "seed"})
     if extra:
         raise ConfigError(f"{extra[0]}: with --runs the filters take the world's own noise and sensor")
-    config = resolve(RunConfig(), settings)
+    config = resolve(world.defaults(), settings)  # a world of scans has no ids to go by
     chosen = parse_methods(methods.split(","), config.filter, config.association)
     folder = out or Path(f"kalmap-compare-{world.name}")
     folder.mkdir(parents=True, exist_ok=True)

@@ -32,7 +32,8 @@ class Outcome(msgspec.Struct, frozen=True):
     """What a run came to, also if it was interrupted or met an error: then up to that point.
 
     frames: how many frames of sightings came; sightings: how many sightings they held; runtime: s inside the filter.
-    labels: for each sighting the landmark that it belongs to in the end (SPURIOUS: none), mergers followed;
+    labels: for each sighting the landmark that it belongs to in the end (SPURIOUS: none): mergers followed, landmarks
+    never confirmed left out; labels_at_once: as it was decided in its frame (or window);
     truth_ids: the identity that the log gives it; times (K,) s and values (K, 2) of the sightings themselves.
     All four are empty where association was given, truth_ids also where the log has none. association_seconds:
     s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if it was asked
@@ -48,6 +49,7 @@ class Outcome(msgspec.Struct, frozen=True):
     skipped_total: int
     truth_ids: np.ndarray
     labels: np.ndarray
+    labels_at_once: np.ndarray
     times: np.ndarray
     values: np.ndarray
     association_seconds: float
@@ -242,6 +244,7 @@ class _Loop:
     def outcome(self, error: KalmapError | None, interrupted: bool) -> Outcome:
         """Everything kept so far."""
         recorder = self.recorder
+        at_once = np.concatenate(self.labels) if self.labels else np.zeros(0, dtype=np.int64)
         reckoned = None
         if self.reckoner is not None:
             reckoned = np.array(recorder.times), np.array(recorder.reckoned).reshape(-1, 3)
@@ -254,9 +257,8 @@ class _Loop:
             skipped=self.skipped,
             skipped_total=self.skipped_total,
             truth_ids=np.concatenate(self.truth) if self.truth else np.zeros(0, dtype=np.int64),
-            labels=self.slam.settled_labels(
-                np.concatenate(self.labels) if self.labels else np.zeros(0, dtype=np.int64)
-            ),
+            labels=self.slam.settled_labels(at_once),
+            labels_at_once=at_once,
             times=np.repeat(
                 np.array([seen.time for seen in self.seen]),
                 np.array([len(seen.values) for seen in self.seen], dtype=np.int64),

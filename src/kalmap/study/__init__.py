@@ -11,9 +11,11 @@ from kalmap.study.compare import (
     parse_method,
     parse_methods,
 )
-from kalmap.study.crcdkf import Reproduction, reproduce_crcdkf
+from kalmap.study.crcdkf import reproduce_crcdkf
 from kalmap.study.crcdkf_cases import bailey_maps
+from kalmap.study.djnn import reproduce_djnn
 from kalmap.study.montecarlo import run_cases, run_study
+from kalmap.study.paper_report import Reproduction
 from kalmap.study.result import StudyResult, Summary, runs_csv, summary_csv
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "parse_method",
     "parse_methods",
     "reproduce_crcdkf",
+    "reproduce_djnn",
     "run_cases",
     "run_study",
     "runs_csv",

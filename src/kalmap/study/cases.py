@@ -5,7 +5,14 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from kalmap.evaluation import evaluate, heading_errors, match, position_errors, sighting_identities
+from kalmap.evaluation import (
+    evaluate,
+    heading_errors,
+    match,
+    position_errors,
+    score_association,
+    sighting_identities,
+)
 from kalmap.records import AssociationConfig, FilterConfig, Log, RunConfig
 from kalmap.simulate import World, simulate
 from kalmap.slam import Outcome, run, slam_from_config
@@ -20,6 +27,7 @@ METRICS = (
     "nis_mean",
     "nis_pooled",
     "association_accuracy",
+    "association_accuracy_at_once",
     "association_precision",
     "association_recall",
     "association_f1",
@@ -135,18 +143,24 @@ def _association_ms(outcome: Outcome, config: RunConfig) -> float | None:
 def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | int | None]:
     """All metrics of a run (see `kalmap.evaluation.evaluate`)."""
     known = config.association.method == "known"
+    association = None if known else _identities(outcome, log)
+    at_once = None
+    if association is not None:
+        truth = association[0]
+        at_once = score_association(truth, outcome.labels_at_once, false_ids=log.false_ids).accuracy
     return evaluate(
         outcome.trace,
         outcome.estimate,
         log,
         ids_known=known,
         runtime_s=outcome.runtime,
-        association=None if known else _identities(outcome, log),
+        association=association,
         dead_reckoning=outcome.dead_reckoning,
     ) | {
         "frames": outcome.frames,
         "sightings": outcome.sightings,
         "skipped": outcome.skipped_total,
+        "association_accuracy_at_once": at_once,
         "association_s": None if known else outcome.association_seconds,
     }
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import msgspec
+import numpy as np
 
+from kalmap.evaluation import paired_test
 from kalmap.study.result import StudyResult
 from kalmap.view import StudyRow, StudyTable
 
@@ -18,6 +20,10 @@ _METRIC_NAMES = {
     "heading_rmse_deg": "heading RMS (deg)",
     "feature_rmse_m": "feature RMS (m)",
     "nees_mean": "NEES",
+    "association_accuracy": "accuracy",
+    "association_accuracy_at_once": "accuracy at once",
+    "association_ms": "time per call (ms)",
+    "landmarks": "map features",
 }
 
 
@@ -71,17 +77,53 @@ def better(result: StudyResult, world: str, first: str, second: str, metric: str
     Holds if the mean of the paired differences is below zero and the Wilcoxon test finds it significant at
     5 %; undecided if it is below zero but not significant; else it fails.
     """
-    name = f"{world}: {first} below {second} in {_METRIC_NAMES[metric]}"
-    asked = "mean difference < 0"
+    return _compared(result, world, first, second, metric, higher=False)
+
+
+def above(result: StudyResult, world: str, first: str, second: str, metric: str) -> Claim:
+    """The same the other way round: the first method's metric is above the second's, where more is better."""
+    return _compared(result, world, first, second, metric, higher=True)
+
+
+def _compared(
+    result: StudyResult, world: str, first: str, second: str, metric: str, *, higher: bool
+) -> Claim:
+    way, sign, side = ("above", ">", "higher") if higher else ("below", "<", "lower")
+    name = f"{world}: {first} {way} {second} in {_METRIC_NAMES[metric]}"
+    asked = f"mean difference {sign} 0"
     test = result.paired(world, first, second, metric)
-    if test is None:
+    # which of the two is smaller, as the test counts it
+    smaller = result.paired(world, second, first, metric) if higher else test
+    if test is None or smaller is None:
         return Claim(name, asked, "-", "not measured")
-    verdict: Verdict = "fails"
-    if test.mean_difference < 0:
-        verdict = "holds" if test.p_value < SIGNIFICANT else "undecided"
     interval = "" if test.low is None else f" (95 %: {test.low:+.4f} to {test.high:+.4f})"
-    got = f"{test.mean_difference:+.4f}{interval}, lower in {test.better} of {test.n}"
+    got = f"{test.mean_difference:+.4f}{interval}, {side} in {smaller.better} of {test.n}"
+    verdict = _verdict(smaller.mean_difference < 0, test.p_value)
     return Claim(name, asked, got, verdict, test.mean_difference, test.p_value, test.n)
+
+
+def _verdict(right: bool, p_value: float) -> Verdict:
+    """Of a comparison: the right way round, and not by chance."""
+    if not right:
+        return "fails"
+    return "holds" if p_value < SIGNIFICANT else "undecided"
+
+
+def times_less(result: StudyResult, world: str, first: str, second: str, metric: str, factor: float) -> Claim:
+    """The first method's metric is at least `factor` times less than the second's on the same seeds.
+
+    value: the ratio of the medians, second over first, which a run that was disturbed does not move. Holds if it is at
+    least the factor, and the Wilcoxon test of `factor` times the first against the second is significant.
+    """
+    name = f"{world}: {first} at least {factor:g} times below {second} in {_METRIC_NAMES[metric]}"
+    asked = f"ratio of medians >= {factor:g}"
+    one, two = result.common(world, first, second, metric)
+    test = paired_test(factor * one, two)
+    if test is None or not one.all():
+        return Claim(name, asked, "-", "not measured")
+    ratio, ratios = float(np.median(two) / np.median(one)), two / one
+    got = f"{ratio:.2f} (seed by seed {ratios.min():.2f} to {ratios.max():.2f})"
+    return Claim(name, asked, got, _verdict(ratio >= factor, test.p_value), ratio, test.p_value, test.n)
 
 
 def not_comparable(claim: Claim) -> Claim:
@@ -116,7 +158,8 @@ def claims_table(claims: list[Claim]) -> StudyTable:
         for c in claims
     ]
     note = (
-        "got: the measurement, for a comparison the mean paired difference (its interval is in claims.json). "
+        "got: the measurement, for a comparison the mean paired difference (its interval is in claims.json) "
+        "or, where a factor is asked, the ratio of the medians. "
         "p: two-sided Wilcoxon signed-rank test on the same seeds. A comparison holds if the mean paired "
         f"difference has the right sign and p < {SIGNIFICANT}; right sign without that is undecided."
     )

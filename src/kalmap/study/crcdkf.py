@@ -5,13 +5,12 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
-import msgspec
-
 from kalmap.records.config import Use
 from kalmap.study.claims import Claim, better, bounded, mean_bounded, not_comparable
 from kalmap.study.crcdkf_cases import Agreement, Maps, Plan, agreement, make_plan
 from kalmap.study.crcdkf_report import write_report
 from kalmap.study.montecarlo import Progress, run_cases
+from kalmap.study.paper_report import Reproduction
 from kalmap.study.published import CRCDKF, CRCDKF_STEPS
 from kalmap.study.result import StudyResult
 
@@ -22,18 +21,15 @@ _WITHIN = 0.15
 _INVARIANT = {"nees_mean": 4.0, "feature_rmse_m": 1.6, "position_rmse_m": 3.9}
 
 
-class Reproduction(msgspec.Struct, frozen=True):
-    """Everything measured, and the claims it was held against.
+class CrcdkfReproduction(Reproduction, frozen=True, kw_only=True):
+    """agreement: of the full and the reduced filter, where both were run.
 
     comparable: the world was the paper's; else it was the package's own course, and claims about the paper's
-    numbers are "not comparable". files: name -> path of what was written.
+    numbers are "not comparable".
     """
 
-    result: StudyResult
-    claims: list[Claim]
     agreement: Agreement | None
     comparable: bool
-    files: dict[str, Path]
 
 
 def reproduce_crcdkf(
@@ -47,7 +43,7 @@ def reproduce_crcdkf(
     full_b: bool = False,
     use: Use = "joint",
     laps: int | None = None,
-) -> Reproduction:
+) -> CrcdkfReproduction:
     """Run sets a and b and write what came out into the folder `out`.
 
     It then holds `crcdkf.md`, `crcdkf.csv`, `runs.csv`, `claims.json`, `report.html`, `manifest.json`,
@@ -69,7 +65,9 @@ def reproduce_crcdkf(
     agreed = agreement(plan, result)
     claims = crcdkf_claims(plan, result, agreed)
     files = write_report(out, plan, result, claims, started)
-    return Reproduction(result, claims, agreed, plan.comparable, files)
+    return CrcdkfReproduction(
+        result=result, claims=claims, files=files, agreement=agreed, comparable=plan.comparable
+    )
 
 
 def crcdkf_claims(plan: Plan, result: StudyResult, agreed: Agreement | None) -> list[Claim]:

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
-import platform
-import sys
-from datetime import UTC, datetime
-from importlib.metadata import version
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import msgspec
-
-import kalmap
-from kalmap.data.native_map import json_ready, write_atomically
-from kalmap.records import Manifest
 from kalmap.simulate import World
-from kalmap.study.claims import Claim, claims_markdown, claims_table, tally
+from kalmap.study.claims import Claim
 from kalmap.study.crcdkf_cases import SETS, Plan
-from kalmap.study.published import CRCDKF
-from kalmap.study.result import StudyResult, Summary, runs_csv, summary_csv
-from kalmap.view import StudyRow, StudyTable, render_study, save_figures, study_figure
+from kalmap.study.paper_report import Column, Line, PaperReport, PaperTable, given_up
+from kalmap.study.published import CRCDKF, CRCDKF_RUNS
+from kalmap.study.result import StudyResult
+from kalmap.view import study_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "Complexity-reduced CDKF-SLAM (Chen & Cheng 2012)"
 
+# each with the field of the paper's row that says the same
 _COLUMNS = {
-    "position RMS m": ("position_rmse_m", "position_rms_m"),
-    "heading RMS deg": ("heading_rmse_deg", "heading_rms_deg"),
-    "feature RMS m": ("feature_rmse_m", "feature_rms_m"),
-    "NEES (3 is right)": ("nees_mean", None),
-    "NIS per dof (1 is right)": ("nis_mean", None),
-    "ms a step": ("step_ms_mean", "step_ms"),
-    "s a run": ("runtime_s", "total_s"),
+    Column("position RMS m", "position_rmse_m", paper=True, ratio=True): "position_rms_m",
+    Column("heading RMS deg", "heading_rmse_deg", paper=True, ratio=True): "heading_rms_deg",
+    Column("feature RMS m", "feature_rmse_m", paper=True, ratio=True): "feature_rms_m",
+    Column("NEES (3 is right)", "nees_mean"): None,
+    Column("NIS per dof (1 is right)", "nis_mean"): None,
+    Column("ms a step", "step_ms_mean"): "step_ms",
+    Column("s a run", "runtime_s"): "total_s",
 }
-_RATIOS = ("position RMS m", "heading RMS deg", "feature RMS m")
-_PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "msgspec")
 
 MISSING_MAP = (
     "THE PAPER'S MAP IS MISSING. These runs are on kalmap's own course (course-35, course-70), not on the "
@@ -47,43 +38,26 @@ MISSING_MAP = (
 SHORT = "Not the paper's two laps: the paper's numbers are not comparable with these and are left out."
 
 
+def crcdkf_report(plan: Plan, result: StudyResult, claims: list[Claim]) -> PaperReport:
+    """Both sets' tables beside the paper's numbers, and the claims."""
+    tables = tuple(_table(plan, which, result) for which in SETS)
+    return PaperReport(TITLE, tables, claims, _warnings(plan, result))
+
+
 def write_report(
     out: Path, plan: Plan, result: StudyResult, claims: list[Claim], started: datetime
 ) -> dict[str, Path]:
     """Write every file and return the paths by name."""
-    warnings = _warnings(plan, result)
-    tables = [study_table(plan, which, result) for which in SETS]
-    figures = crcdkf_figures(plan, result)
-    manifest = _manifest(plan, started)
-    texts = {
-        "crcdkf.md": crcdkf_markdown(plan, result, claims, warnings),
-        "crcdkf.csv": summary_csv(result),
-        "runs.csv": runs_csv(result),
-        "claims.json": _json({"comparable": plan.comparable, "warnings": warnings, "claims": claims}),
-        "manifest.json": _json(manifest),
-        "report.html": render_study(
-            TITLE,
-            [claims_table(claims), *tables],
-            figures={_caption(name): figure for name, figure in figures.items()},
-            manifest=manifest,
-            lead=tally(claims),
-            warnings=warnings,
-        ),
-    }
-    for name, text in texts.items():
-        write_atomically(out / name, text.encode())
-    pictures = save_figures(out / "figures", figures)
-    return {**{name: out / name for name in texts}, **{f"figures/{k}.png": p for k, p in pictures.items()}}
+    report = crcdkf_report(plan, result, claims)
+    figures = {name: (figure, _caption(name)) for name, figure in crcdkf_figures(plan, result).items()}
+    return report.write(out, "crcdkf", result, plan.cases, started, figures, comparable=plan.comparable)
 
 
 def _warnings(plan: Plan, result: StudyResult) -> list[str]:
     warnings = []
     if not plan.comparable:
         warnings.append(MISSING_MAP if plan.worlds["a"].name == "course-35" else SHORT)
-    failed = sum(record.error is not None for record in result.records)
-    if failed:
-        warnings.append(f"{failed} of {len(result.records)} runs were given up and are in no number below.")
-    return warnings + result.failures()
+    return warnings + given_up(result)
 
 
 def _note(plan: Plan, which: str) -> str:
@@ -122,55 +96,15 @@ def _paper(plan: Plan, which: str, method: str) -> tuple[float | None, ...] | No
     row = CRCDKF.get((which, name))
     if row is None or coordinates != "additive" or not plan.comparable:
         return None
-    return tuple(None if field is None else getattr(row, field) for _, field in _COLUMNS.values())
+    return tuple(None if field is None else getattr(row, field) for field in _COLUMNS.values())
 
 
-def _summaries(plan: Plan, which: str, result: StudyResult) -> list[Summary]:
-    world = plan.worlds[which].name
+def _table(plan: Plan, which: str, result: StudyResult) -> PaperTable:
+    world = plan.worlds[which]
     methods = plan.methods(which, "additive") + plan.methods(which, "invariant")
-    return [result.summary(world, method) for method in methods]
-
-
-def study_table(plan: Plan, which: str, result: StudyResult) -> StudyTable:
-    """A set's table for the report page: ours, and below it the paper's."""
-    rows = []
-    for s in _summaries(plan, which, result):
-        ours = (*(s.mean[metric] for metric, _ in _COLUMNS.values()), float(s.runs))
-        paper = _paper(plan, which, s.method)
-        rows.append(StudyRow(s.method, ours, None if paper is None else (*paper, 50.0)))
-    title = _description(plan.worlds[which], which)
-    return StudyTable(title, (*_COLUMNS, "n"), tuple(rows), _note(plan, which))
-
-
-def crcdkf_markdown(plan: Plan, result: StudyResult, claims: list[Claim], warnings: list[str]) -> str:
-    """Both sets' tables beside the paper's numbers, and the claims."""
-    parts = [f"# {TITLE}", *(f"**{warning}**" for warning in warnings)]
-    for which in SETS:
-        parts += [f"## {_description(plan.worlds[which], which)}", _set_markdown(plan, which, result)]
-        parts.append(_note(plan, which))
-    parts += ["## Claims", f"{tally(claims)}.", claims_markdown(claims)]
-    return "\n\n".join(parts)
-
-
-def _set_markdown(plan: Plan, which: str, result: StudyResult) -> str:
-    head = ["filter", "n"]
-    for column in _COLUMNS:
-        head += [column, "paper", "ratio"] if column in _RATIOS else [column]
-    lines = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
-    for s in _summaries(plan, which, result):
-        paper = _paper(plan, which, s.method) or (None,) * len(_COLUMNS)
-        cells = [s.method, str(s.runs) + (f" ({s.failed} failed)" if s.failed else "")]
-        for (column, (metric, _)), theirs in zip(_COLUMNS.items(), paper, strict=True):
-            ours = s.mean[metric]
-            cells.append(_number(ours))
-            if column in _RATIOS:
-                cells += [_number(theirs), _number(ours / theirs if ours and theirs else None)]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}" if abs(value) < 0.1 else f"{value:.3f}"
+    lines = tuple(Line(result.summary(world.name, m), _paper(plan, which, m)) for m in methods)
+    title, note = _description(world, which), _note(plan, which)
+    return PaperTable(title, "filter", tuple(_COLUMNS), lines, note, CRCDKF_RUNS)
 
 
 def crcdkf_figures(plan: Plan, result: StudyResult) -> dict[str, Figure]:
@@ -197,43 +131,3 @@ def _caption(name: str) -> str:
         "coordinates": "the same filter in additive and in invariant coordinates",
     }[kind]
     return f"Set {which}: RMS error over all runs at each instant; {what}."
-
-
-def _manifest(plan: Plan, started: datetime) -> Manifest:
-    worlds = {which: json_ready(world) for which, world in plan.worlds.items()}
-    settings = {
-        which: {k: v for k, v in world.items() if k not in ("landmarks", "waypoints")}
-        for which, world in worlds.items()
-    }
-    methods = {case.method.name: case.method.filter for case in plan.cases}
-    return Manifest(
-        kalmap=kalmap.__version__,
-        python=platform.python_version(),
-        platform=platform.platform(),
-        packages={name: version(name) for name in _PACKAGES},
-        command=" ".join(sys.argv),
-        log=" and ".join(world.name for world in plan.worlds.values()),
-        source="simulated",
-        data_sha256={
-            world["name"]: hashlib.sha256(msgspec.json.encode(world, order="deterministic")).hexdigest()
-            for world in worlds.values()
-        },
-        seed=min(case.seed for case in plan.cases),
-        config={
-            "seeds": sorted({case.seed for case in plan.cases}),
-            "methods": json_ready(methods),
-            "worlds": settings,
-        },
-        started=started.isoformat(timespec="seconds"),
-        finished=datetime.now(UTC).isoformat(timespec="seconds"),
-        completed=True,
-        interrupted=False,
-        error=None,
-        skipped=[],
-        skipped_total=0,
-    )
-
-
-def _json(value: Any) -> str:
-    encoded: bytes = msgspec.json.format(msgspec.json.encode(json_ready(value)), indent=2)
-    return encoded.decode() + "\n"

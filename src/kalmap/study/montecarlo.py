@@ -32,7 +32,7 @@ def run_study(
     A seed's log depends on world and seed alone: every method sees the same one, and so does a method that
     joins later. The result does not depend on the number of workers.
 
-    association: how sightings find their landmarks; by default by the log's ids.
+    association: how sightings find their landmarks, for methods that do not say; None takes the world's own.
     workers: processes, None for one a processor, 1 for none beside this one.
     out: a folder; every finished run is kept in its `runs/`, so a study that was stopped goes on where it
         was. progress: called with (runs done, runs in all).
@@ -40,7 +40,6 @@ def run_study(
     Raises `ConfigError` before the first run for settings that contradict each other, and for names or seeds
     that stand there twice. A filter that gives up ends its own run only (`RunRecord.error`).
     """
-    association = association or AssociationConfig()
     cases = [Case(*chosen, association) for chosen in product(worlds, methods, list(seeds))]
     return run_cases(cases, workers=workers, out=out, progress=progress)
 

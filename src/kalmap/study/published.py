@@ -24,5 +24,29 @@ CRCDKF = {
     ("b", "cr-ukf"): Published(2.6093, 1.5014, 1.8543, 17.24, 0.99),
     ("b", "cr-cdkf"): Published(2.5954, 1.4878, 1.8258, 16.84, 0.97),
 }
+CRCDKF_RUNS = 50
 # Steps of the two laps: the paper says 17,383; the map and the rules of the simulator give 17,381.
 CRCDKF_STEPS = 17_381
+
+
+class PublishedAssociation(msgspec.Struct, frozen=True):
+    """A row of Zhou, Zhao & Zhang 2010, tables 1 (10 movers) and 2 (50): means over 20 runs.
+
+    time_s: its "mean running time", the paper does not say of what. features: in the last map of one run, said
+    beside figure 2.
+    """
+
+    accuracy: float
+    time_s: float
+    features: int | None = None
+
+
+DJNN = {
+    (10, "jcbb"): PublishedAssociation(0.9372, 0.1853),
+    (10, "nn"): PublishedAssociation(0.9304, 0.1499),
+    (10, "djnn"): PublishedAssociation(0.9340, 0.0231),
+    (50, "jcbb"): PublishedAssociation(0.9051, 0.3041, 456),
+    (50, "nn"): PublishedAssociation(0.8962, 0.2366),
+    (50, "djnn"): PublishedAssociation(0.9174, 0.0295, 282),
+}
+DJNN_RUNS = 20

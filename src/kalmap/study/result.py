@@ -51,9 +51,13 @@ class StudyResult(msgspec.Struct, frozen=True):
 
     def paired(self, world: str, first: str, second: str, metric: str) -> PairedTest | None:
         """First minus second over the seeds that both finished; None if there is none."""
+        return paired_test(*self.common(world, first, second, metric))
+
+    def common(self, world: str, first: str, second: str, metric: str) -> tuple[np.ndarray, np.ndarray]:
+        """A metric of two methods, both (n,), over the seeds that both finished and know it for."""
         one, two = self.values(world, first, metric), self.values(world, second, metric)
         seeds = [seed for seed in one if seed in two]
-        return paired_test(np.array([one[s] for s in seeds]), np.array([two[s] for s in seeds]))
+        return np.array([one[s] for s in seeds]), np.array([two[s] for s in seeds])
 
     def summary(self, world: str, method: str) -> Summary:
         """Means, root mean squares and errors of the mean over the runs."""

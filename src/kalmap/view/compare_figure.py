@@ -18,8 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def maps_figure(runs: Sequence[RunView]) -> Figure:
-    """The maps of all runs side by side, with the same limits."""
+def maps_figure(runs: Sequence[RunView], tracks: np.ndarray | None = None) -> Figure:
+    """The maps of all runs side by side, with the same limits.
+
+    tracks: (F, movers, 2) m, where things went that are no landmarks, drawn beneath each map.
+    """
     with style.house_style():
         if not runs:
             figure = style.new_figure(height=2.0)
@@ -33,6 +36,8 @@ def maps_figure(runs: Sequence[RunView]) -> Figure:
         figure = style.new_figure(height=height)
         grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         for axes, run in zip(grid.flat, runs, strict=False):
+            if tracks is not None and tracks.size:
+                _draw_tracks(axes, tracks)
             draw_map(axes, run, limits)
             axes.set_title(run.method)
             axes.label_outer()
@@ -40,6 +45,12 @@ def maps_figure(runs: Sequence[RunView]) -> Figure:
             axes.set_axis_off()
         figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
+
+
+def _draw_tracks(axes: Axes, tracks: np.ndarray) -> None:
+    """A thin line for each mover, one entry of the legend for all."""
+    lines = axes.plot(tracks[..., 0], tracks[..., 1], color=style.SKY, lw=0.6, alpha=0.4, zorder=1)
+    lines[0].set_label("tracks of movers")
 
 
 def error_curves_figure(runs: Sequence[RunView]) -> Figure:

@@ -66,15 +66,20 @@ def render_study(
     figures: Mapping[str, Figure] | None = None,
     manifest: Manifest | None = None,
     lead: str = "",
+    about: Sequence[str] = (),
     warnings: Sequence[str] = (),
 ) -> str:
-    """The page of a study as HTML: tables with the paper's numbers beside ours, and error curves."""
+    """The page of a study as HTML: tables with the paper's numbers beside ours, and error curves.
+
+    about: paragraphs that a reader must know before the numbers.
+    """
     if figures is None:
         figures = {"study": study_figure(curves)} if curves else {}
     pictures = "\n".join(
         page.picture(figure, name, CAPTIONS.get(name, name)) for name, figure in figures.items()
     )
     sections = [("warnings", "Warnings", page.warnings_html(warnings))]
+    sections.append(("about", "What is compared", "".join(f"<p>{page.text(each)}</p>" for each in about)))
     sections += [(f"table-{index}", table.title, study_table(table)) for index, table in enumerate(tables, 1)]
     sections.append(("figures", "Pictures", pictures))
     foot = "kalmap"
@@ -96,7 +101,8 @@ def study_table(table: StudyTable) -> str:
     lines = []
     for row in table.rows:
         paper = row.paper if row.paper is not None else (None,) * len(row.ours)
-        cells = (_study_cell(ours, theirs) for ours, theirs in zip(row.ours, paper, strict=True))
+        decimals = table.decimals or (None,) * len(row.ours)
+        cells = (_study_cell(*cell) for cell in zip(row.ours, paper, decimals, strict=True))
         lines.append(f"<tr><th>{page.text(row.method)}</th>{''.join(cells)}</tr>")
     note = f"{table.note} " if table.note else ""
     if papers:
@@ -106,11 +112,15 @@ def study_table(table: StudyTable) -> str:
     )
 
 
-def _study_cell(ours: float | None, paper: float | None) -> str:
-    shown = page.text("–" if ours is None else number(ours))
+def _study_cell(ours: float | None, paper: float | None, decimals: int | None) -> str:
+    shown = page.text("–" if ours is None else _rounded(ours, decimals))
     if paper is not None:
-        shown += f'<br><small class="paper">{page.text(number(paper))}</small>'
+        shown += f'<br><small class="paper">{page.text(_rounded(paper, decimals))}</small>'
     return f'<td class="n">{shown}</td>'
+
+
+def _rounded(value: float, decimals: int | None) -> str:
+    return number(value) if decimals is None else f"{value:.{decimals}f}"
 
 
 def _metrics_by_method(metrics: Mapping[str, Mapping[str, Any]]) -> str:

@@ -92,9 +92,25 @@ class StudyRow(msgspec.Struct, frozen=True):
 
 
 class StudyTable(msgspec.Struct, frozen=True):
-    """A table of a study: columns name quantity and unit, one for each number of a row."""
+    """A table of a study: columns name quantity and unit, one for each number of a row.
+
+    decimals: of each column, None for as many as a number's size wants; empty means None throughout.
+    """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[StudyRow, ...]
     note: str = ""
+    decimals: tuple[int | None, ...] = ()
+
+
+class StudyDots(msgspec.Struct, frozen=True):
+    """One method's values (n,) of a metric, one a seed, and the paper's single value where it gives one.
+
+    group: methods of the same group have the same colour.
+    """
+
+    method: str
+    values: np.ndarray
+    group: str = ""
+    paper: float | None = None
