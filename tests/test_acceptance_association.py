@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from kalmap.data import open_log
+from kalmap.data import open_log, read_map
 from kalmap.evaluation import landmark_owners, sighting_identities
 from kalmap.geometry.alignment import align, apply
+from kalmap.simulate import bailey_world, simulate
 from kalmap.slam import run, slam_from_config
 from kalmap.study.cases import judge
 from real_data import data_root  # noqa: F401
@@ -29,7 +30,7 @@ def judged(log, method, **settings):
 
 
 def landmark_rms(log, outcome):
-    """RMS m to the batch solution's landmarks, paired by their sightings' identities, after the map's best alignment."""
+    """RMS m to the batch solution's landmarks, paired by their sightings' identities, after the best alignment."""
     truth = outcome.truth_ids
     if not len(truth):
         truth = sighting_identities(outcome.times, outcome.values, log.sighting_truth)
@@ -41,10 +42,14 @@ def landmark_rms(log, outcome):
     return float(np.sqrt(np.mean(np.sum((apply(*align(mine, theirs), mine) - theirs) ** 2, axis=1))))
 
 
+@pytest.mark.parametrize("variant", ["ids", "detections"])
 @pytest.mark.parametrize("method", ["djnn", "jcbb"])
-def test_victoria_park_with_hidden_ids(data_root, method):  # noqa: F811
-    """Asked: F1 0.97, 250 to 350 landmarks, path 1.5 m median and 2.5 m trimmed to GPS, landmarks 0.8 m."""
-    log = open_log(data_root / "victoria_park")
+def test_victoria_park_with_hidden_ids(data_root, method, variant):  # noqa: F811
+    """Asked: F1 0.97, 250 to 350 landmarks, path 1.5 m median and 2.5 m trimmed to GPS, landmarks 0.8 m.
+
+    Of the 46,860 detections with an identity, and of all 52,974.
+    """
+    log = open_log(data_root / "victoria_park", variant=variant)
     metrics, outcome = judged(log, method)
     assert metrics["association_f1"] >= 0.97
     assert 250 <= metrics["landmarks"] <= 350
@@ -55,11 +60,11 @@ def test_victoria_park_with_hidden_ids(data_root, method):  # noqa: F811
 
 @pytest.mark.parametrize("method", ["djnn", "jcbb"])
 def test_victoria_park_from_raw_scans(data_root, method):  # noqa: F811
-    """The same from `LASER.txt`, every bar loosened by a fifth; trees are detected by the filter's own detector."""
+    """The same from `LASER.txt`, every bar loosened by a fifth (of what F1 lacks to 1); trees found by the detector."""
     log = open_log(data_root / "victoria_park", variant="scans")
     metrics, outcome = judged(log, method)
-    assert metrics["association_f1"] >= 0.97 / 1.2
-    assert 250 / 1.2 <= metrics["landmarks"] <= 350 * 1.2
+    assert metrics["association_f1"] >= 1.0 - 1.2 * 0.03
+    assert 240 <= metrics["landmarks"] <= 360
     assert metrics["gps_ate_aligned_median_m"] <= 1.5 * 1.2
     assert metrics["gps_ate_aligned_trimmed_rmse_m"] <= 2.5 * 1.2
     assert landmark_rms(log, outcome) <= 0.8 * 1.2
@@ -85,3 +90,14 @@ def test_dlr_with_hidden_ids(data_root):  # noqa: F811
     """No bar is asked; this holds what is reached (F1 0.9)."""
     metrics, _ = judged(open_log(data_root / "dlr"), "jcbb", management="trial", confirm=2)
     assert metrics["association_f1"] >= 0.85
+
+
+@pytest.mark.parametrize("method", ["djnn", "jcbb"])
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_baileys_world_without_ids(data_root, method, seed):  # noqa: F811
+    """Oracle: the simulator's identities: no wrong match, at most one landmark too many. Three of the 20 seeds."""
+    world = read_map(data_root / "bailey_sim" / "example_webmap.mat")
+    log = simulate(bailey_world(world.landmarks, world.waypoints), seed)
+    metrics, _ = judged(log, method)
+    assert metrics["association_wrong"] == metrics["association_missed_new"] == 0
+    assert metrics["association_duplicate_landmarks"] <= 1

@@ -233,8 +233,8 @@ def test_named_filters_resolve():
 def test_a_known_start_at_any_heading(name):
     """Oracle: the same drive from heading 0, turned by the start's heading; a car with biases, known start, no jitter.
 
-    At such a start the covariance has rank two and grows into six dimensions through tiny pivots. Sigma points lie along
-    the axes, so that turning the drive is the same only up to the fourth order: a thousandth of the covariance here.
+    At such a start the covariance has rank two and grows into six dimensions through tiny pivots. Sigma points lie
+    along the axes, so that turning the drive is the same only up to the fourth order: a thousandth here.
     """
     rng = np.random.default_rng(7)
     biases = (Bias("steering_offset", 0.017), Bias("steering_scale", 0.05), Bias("speed_scale", 0.05))

@@ -283,9 +283,9 @@ def plain_finish(squared, normalised, trial, gate, new_gate, matched):
     sure, tried = np.flatnonzero(~trial), np.flatnonzero(trial)
     fate: dict[int, int] = {k: kernel.MATCHED for k in range(m) if matched[k] != FREE}
 
-    def near(k, columns):
+    def near(k, columns, lost=kernel.LOST):
         least = min(squared[k, columns], default=np.inf)
-        return kernel.LOST if least <= gate else kernel.BETWEEN if least < new_gate else None
+        return lost if least <= gate else kernel.BETWEEN if least < new_gate else None
 
     left = [k for k in range(m) if k not in fate]
     fate |= {k: near(k, sure) for k in left if near(k, sure) is not None}
@@ -295,7 +295,7 @@ def plain_finish(squared, normalised, trial, gate, new_gate, matched):
     paper.nn(left, paper.features())
     paper.until_clean()
     for k in left:
-        fate[k] = kernel.TRIAL if k in paper.h else near(k, tried) or kernel.NEW
+        fate[k] = kernel.TRIAL if k in paper.h else near(k, tried, kernel.LOST_TRIAL) or kernel.NEW
     return [fate[k] for k in range(m)], [paper.h.get(k, matched[k]) for k in range(m)]
 
 
@@ -323,7 +323,8 @@ def test_fates_by_hand():
     matched[0] = 0
     kernel.finish(squared, squared, np.array([False, True]), 4.0, 10.0, matched, fate)
     assert fate.tolist() == [
-        kernel.MATCHED, kernel.LOST, kernel.BETWEEN, kernel.TRIAL, kernel.LOST, kernel.BETWEEN, kernel.NEW, kernel.NEW
+        kernel.MATCHED, kernel.LOST, kernel.BETWEEN, kernel.TRIAL,
+        kernel.LOST_TRIAL, kernel.BETWEEN, kernel.NEW, kernel.NEW,
     ]  # fmt: skip
     assert matched.tolist() == [0, FREE, FREE, 1, FREE, FREE, FREE, FREE]
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from kalmap.association.associator import Predicted
+from kalmap.association.checks import check
 from kalmap.association.gated import Gated, Matching, Table
 from kalmap.association.management import BuiltInManagement, Counter
 from kalmap.kernels import nearest as kernel
@@ -31,6 +32,10 @@ class Djnn(Gated, frozen=True, kw_only=True, tag=True):
     interference: bool = True
     widen: float = 3.0
     management: BuiltInManagement = Counter()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check(0.0 <= self.widen < math.inf, "widen", "0 or more", self.widen)
 
     def _match(self, table: Table, predicted: Predicted) -> Matching:
         count = len(table.squared)

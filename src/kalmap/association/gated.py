@@ -16,12 +16,14 @@ import numpy as np
 from kalmap.association.ambiguity import ambiguous
 from kalmap.association.associator import Expected, Predicted
 from kalmap.association.attributes import Attribute, unknown
+from kalmap.association.checks import check
 from kalmap.association.local import Region
 from kalmap.association.management import BuiltInManagement, Keep, Review, Verdict
 from kalmap.association.merging import Merging, Suspicion
 from kalmap.geometry.ellipses import chi_square
 from kalmap.kernels import nearest as kernel
-from kalmap.records import NEW, Association, ConfigError, Managed, Reason, Sightings, Why
+from kalmap.kernels.region import contested_by
+from kalmap.records import NEW, Association, Managed, Reason, Sightings, Why
 
 _WIDEST = 1e6  # m; no landmark is wider
 _HIDING_PRIOR = 20.0  # landmarks behind something that are taken for unseen before any has been looked at
@@ -76,7 +78,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     """An associator by place. gate: probability inside which a pair is possible. new_gate: probability beyond which,
     from every landmark, a sighting founds a new one; between the two it is left unused. extent: m, how far
     apart two sightings of the same landmark from different sides are beside the sensor's noise, as a standard
-    deviation: the size of what is no point. It widens the gates and changes nothing in the filter. ambiguity:
+    deviation: the size of what is no point. It widens the gates, and mergers force no more than that. ambiguity:
     by how much the next best landmark must be worse in nu' S^-1 nu + ln det S, else a sighting is left unused;
     0: not asked. patience: frames after which a landmark still on trial is given up. The rest: see the classes.
     """
@@ -94,10 +96,10 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         for name in ("gate", "new_gate"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ConfigError(f"association.{name}: {getattr(self, name)} is no probability")
-        if not 0.0 <= self.extent <= _WIDEST:
-            raise ConfigError(f"association.extent: expected 0 to {_WIDEST:g} m, got {self.extent}")
+            check(0.0 <= getattr(self, name) <= 1.0, name, "a probability", getattr(self, name))
+        check(0.0 <= self.extent <= _WIDEST, "extent", f"0 to {_WIDEST:g} m", self.extent)
+        check(self.ambiguity >= 0.0, "ambiguity", "0 or more", self.ambiguity)
+        check(self.patience >= 1, "patience", "1 or more frames", self.patience)
 
     def start(self) -> Any:
         """Memory: a list of each thing known of the landmarks, by index, and what management and merging remember."""
@@ -147,7 +149,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
 
     def _match(self, table: Table, predicted: Predicted) -> Matching:
         """The associator's own rule: which confirmed candidate each sighting gets."""
-        raise AttributeError("overridden by every associator")
+        raise NotImplementedError(f"{type(self).__name__} has no rule")
 
     def _table(self, memory: Any, sightings: Sightings, predicted: Predicted) -> Table:
         expected = predicted.expect(self.region.candidates(predicted)).widened(self.extent)
@@ -190,6 +192,10 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
         founded = kernel.outcome(columns, fate, indices, matched, seen)
         hidden = table.in_view & predicted.hidden(table.expected)
         should = table.in_view & ~hidden if _hides(memory["hiding"]) else table.in_view
+        if (fate >= kernel.LOST).any():  # what an undecided sighting may have shown was not missed
+            maybe = np.empty(len(indices), dtype=np.bool_)
+            contested_by(table.squared, fate, kernel.LOST, table.new_gate, maybe)
+            should = should & (seen | ~maybe)
         reach = self.region.reach(predicted)
         review = Review(indices, seen, should, ~table.trial, table.expected.z[:, 0], reach)
         verdict = self.management.review(memory["score"], memory["confirmed"], memory["management"], review)
@@ -321,7 +327,15 @@ def _explain(
 ) -> Why:
     """The reasons in a form that can be kept: every pair within the wider gate, or three times the gate."""
     by_fate = np.array(
-        [0, Reason.NEAREST, Reason.FOUNDED, matching.lost, Reason.BETWEEN_GATES, Reason.AMBIGUOUS],
+        [
+            0,
+            Reason.NEAREST,
+            Reason.FOUNDED,
+            matching.lost,
+            Reason.BETWEEN_GATES,
+            Reason.AMBIGUOUS,
+            Reason.CONTEST_LOST,
+        ],
         dtype=np.int64,
     )
     rows, columns = np.nonzero(table.squared < max(table.new_gate, 3.0 * table.gate))

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from kalmap.association.associator import Expected, Predicted
+from kalmap.association.checks import check
 from kalmap.kernels.region import in_sector
 
 
@@ -26,6 +27,12 @@ class Region(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     pad: float = 1.0
     turn: float = 0.05
     reliable_range: float | None = None
+
+    def __post_init__(self) -> None:
+        check(self.pad >= 0.0, "region.pad", "0 or more m", self.pad)
+        check(0.0 <= self.turn <= math.pi, "region.turn", "0 to pi rad", self.turn)
+        reliable = self.reliable_range
+        check(reliable is None or reliable > 0.0, "reliable_range", "a positive number of m", reliable)
 
     def candidates(self, predicted: Predicted) -> np.ndarray:
         """Indices of the landmarks that take part, ascending."""

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
+from kalmap.association.checks import check
 from kalmap.kernels.region import tally_by_range
 
 
@@ -119,6 +120,10 @@ class Trial(_Plain, frozen=True, tag=True):
     confirm: int = 3
     window: int = 30
 
+    def __post_init__(self) -> None:
+        check(self.confirm >= 1, "confirm", "1 or more", self.confirm)
+        check(self.window >= 1, "confirm_window", "1 or more frames", self.window)
+
     @property
     def tries(self) -> bool:
         return self.confirm > 1
@@ -154,6 +159,9 @@ class _Learning(msgspec.Struct, frozen=True):
     """
 
     detection: float = 0.9
+
+    def __post_init__(self) -> None:
+        check(0.0 < self.detection < 1.0, "detection", "a probability between 0 and 1", self.detection)
 
     def start(self) -> Any:
         """For each bin of the range [sightings, frames in view] of landmarks believed in."""
@@ -198,6 +206,10 @@ class Counter(_Learning, frozen=True, tag=True):
     admit: int = 2
     expel: int = 0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check(self.admit > self.expel, "confirm", f"more than {self.expel}", self.admit)
+
     @property
     def tries(self) -> bool:
         return self.admit > 1
@@ -239,6 +251,15 @@ class Existence(_Learning, frozen=True, tag=True):
     admit: float = 0.97
     expel: float = 0.1
     most: float = 12.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check(0.0 <= self.expel < 1.0, "existence.expel", "a probability below 1", self.expel)
+        for name in ("false_rate", "prior", "admit"):
+            value = getattr(self, name)
+            check(0.0 < value < 1.0, f"existence.{name}", "a probability between 0 and 1", value)
+        check(self.expel < self.prior, "existence.prior", "more than expel", self.prior)
+        check(0.0 < self.most < math.inf, "existence.most", "a positive number", self.most)
 
     @property
     def tries(self) -> bool:

@@ -41,7 +41,7 @@ class Glance(msgspec.Struct, frozen=True):
 
     numbers: (C,) lasting numbers of the candidates. squared, log_volume: (M, C). trial: (C,) bool. missed: (C,)
     what it costs that a candidate was not seen. founded: how many landmarks had ever been founded before the
-    frame. gate, new_gate: squared distances. links: for each earlier frame of the window, the latest last,
+    frame. gate, new_gate: squared distances. links: for each earlier frame of the window, the oldest first,
     (M_earlier, M) squared distance and ln det S of a sighting here from a landmark that stands where a sighting
     there saw one.
     """
@@ -182,7 +182,7 @@ class Mda(Gated, frozen=True, kw_only=True, tag=True):
             near = np.any(glance.squared[:, believed] < glance.new_gate, axis=1).tolist()
             options: list[_Options] = [[[(-1, miss)] for _ in glances[first + 1 :]] for _ in near]
             for ahead, later in enumerate(glances[first + 1 :]):
-                squared, log_volume = later.links[-1 - ahead]
+                squared, log_volume = later.links[first]
                 costs = self._pair_costs(squared, log_volume, density)
                 rows, columns = np.nonzero(squared <= later.gate)
                 for i, m, cost in zip(rows.tolist(), columns.tolist(), costs[rows, columns].tolist()):

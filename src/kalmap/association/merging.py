@@ -14,7 +14,9 @@ import msgspec
 import numpy as np
 
 from kalmap.association.associator import Predicted
+from kalmap.association.checks import check
 from kalmap.geometry.ellipses import chi_square_2
+from kalmap.kernels.region import near_pairs
 
 _MOST_PAIRS = 32  # looked at together
 _EVERY = 5  # frames from one look for sets of pairs to the next
@@ -52,6 +54,12 @@ class Merging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     unseen: float = 1.5
     frames: int = 3
     radius: float = 10.0
+
+    def __post_init__(self) -> None:
+        check(0.0 <= self.gate < 1.0, "merging.gate", "a probability below 1", self.gate)
+        for name in ("odds", "unseen", "frames", "radius"):
+            value = getattr(self, name)
+            check(0.0 <= value < math.inf, f"merging.{name}", "0 or more", value)
 
     def start(self) -> Any:
         """Memory: pairs "a b" of lasting numbers -> frames that speak for them being one, or -1 if they are two."""
@@ -107,11 +115,7 @@ class Merging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         """Places of near pairs."""
         if not seen.any():
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        at = predicted.positions(indices)
-        gap = at[:, None] - at[None]
-        near = np.triu((gap**2).sum(axis=2) < self.radius**2, 1)
-        rows, columns = np.nonzero(near)
-        return rows, columns
+        return near_pairs(predicted.positions(indices), self.radius)
 
     def _reach(self, predicted: Predicted, indices: np.ndarray) -> float:
         """How far the sensor sees, m; one without limit as far as the farthest of the landmarks."""

@@ -21,10 +21,9 @@ class Nearest(Gated, frozen=True, kw_only=True, tag=True):
     one_to_one: bool = False
 
     def _match(self, table: Table, predicted: Predicted) -> Matching:
-        columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
         if self.one_to_one:
-            assign(table.squared, table.normalised, table.gate, ~table.trial, columns)
-            return Matching(columns, Reason.ASSIGNED)
+            return _assigned(table)
+        columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
         everyone = np.ones(len(columns), dtype=np.bool_)
         kernel.nearest(table.squared, table.normalised, table.gate, everyone, ~table.trial, columns)
         return Matching(columns)
@@ -38,9 +37,14 @@ class Likelihood(Gated, frozen=True, kw_only=True, tag=True):
     """
 
     def _match(self, table: Table, predicted: Predicted) -> Matching:
-        columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
-        assign(table.squared, table.normalised, table.gate, ~table.trial, columns)
-        return Matching(columns, Reason.ASSIGNED)
+        return _assigned(table)
+
+
+def _assigned(table: Table) -> Matching:
+    """The best one-to-one set of a frame."""
+    columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
+    assign(table.squared, table.normalised, table.gate, ~table.trial, columns)
+    return Matching(columns, Reason.ASSIGNED)
 
 
 def assign(

@@ -13,7 +13,8 @@ from kalmap.kernels.regression import wrap
 
 FREE = -1
 CLEAN, CONTESTED, ALL_CONTESTED, NONE_MATCHED = 1, 2, 3, 4  # the paper's four cases
-MATCHED, TRIAL, NEW, LOST, BETWEEN, DOUBTFUL = 0, 1, 2, 3, 4, 5  # what becomes of a sighting
+# what becomes of a sighting; from LOST on nobody knows which landmark it shows
+MATCHED, TRIAL, NEW, LOST, BETWEEN, DOUBTFUL, LOST_TRIAL = 0, 1, 2, 3, 4, 5, 6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -219,7 +220,8 @@ def finish(squared, normalised, trial, gate, new_gate, matched, fate):
 
     A sighting near a confirmed landmark is left unused. The others go one-to-one to landmarks on trial, trial (C,)
     bool, by least distance; what is left and near none founds a landmark. fate: MATCHED (by the associator), TRIAL,
-    NEW, LOST (inside a gate, but not given to it) or BETWEEN (the gate and the wider gate for new ones).
+    NEW, LOST (inside a confirmed landmark's gate, but not given to it), LOST_TRIAL (the same of one on trial) or
+    BETWEEN (a gate and the wider gate for new ones).
     """
     count, candidates = squared.shape
     rows = np.zeros(count, dtype=np.bool_)
@@ -249,7 +251,7 @@ def finish(squared, normalised, trial, gate, new_gate, matched, fate):
             continue
         for c in range(candidates):
             if trial[c] and squared[m, c] <= gate:
-                fate[m] = LOST
+                fate[m] = LOST_TRIAL
             elif trial[c] and squared[m, c] < new_gate and fate[m] == NEW:
                 fate[m] = BETWEEN
 

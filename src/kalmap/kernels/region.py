@@ -81,3 +81,33 @@ def in_sector(z, reach, half, out):
     """out (C,) bool: nearer than `reach` m and less than `half` rad to either side; z: (C, 2) range, bearing."""
     for c in range(len(z)):
         out[c] = z[c, 0] < reach and (half >= math.pi or abs(z[c, 1]) < half)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def near_pairs(points, radius):
+    """Places (P,), (P,) of the pairs i < j of points (K, 2) nearer to each other than `radius` m."""
+    count = len(points)
+    first, second = np.empty(count * count, dtype=np.int64), np.empty(count * count, dtype=np.int64)
+    found = 0
+    for i in range(count):
+        for j in range(i + 1, count):
+            dx, dy = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
+            if dx * dx + dy * dy < radius * radius:
+                first[found], second[found] = i, j
+                found += 1
+    return first[:found], second[:found]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def contested_by(squared, fate, undecided, gate, out):
+    """out (C,) bool: an undecided sighting lies inside the candidate's gate, so that it may have been seen.
+
+    squared: (M, C). fate: (M,). undecided: fates from this number on.
+    """
+    for c in range(squared.shape[1]):
+        out[c] = False
+    for m in range(squared.shape[0]):
+        if fate[m] >= undecided:
+            for c in range(squared.shape[1]):
+                if squared[m, c] < gate:
+                    out[c] = True

@@ -135,14 +135,14 @@ class AssociationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         a sighting founds a new one; between the two it is left unused. joint_gate: probability of the joint
         test (jcbb).
     extent: m, how far apart sightings of one landmark from different sides are, as a standard deviation, beside
-        the sensor's noise: the size of what is no point. It widens the gates only.
+        the sensor's noise: the size of what is no point. It widens the gates; mergers force no more than that.
     ambiguity: a match is taken only if the next best landmark's nu' S^-1 nu + ln det S is larger by this (4.6:
         ten times less likely), given the frame's other matches; 0: the best is taken.
     one_to_one: nearest only: no two sightings of a frame take the same landmark.
     management: "keep" believes every landmark; "trial" those with `confirm` sightings in `confirm_window`
         frames that could see them; "counter" counts sightings up and misses down, believes from `confirm` on
         and removes at 0, also from the map; "existence" keeps a probability for each, and believes from
-        `existence` on. None: what the method has by itself (djnn: counter; mda: existence; the others: trial).
+        `existence` on. None: what the method has by itself (djnn: counter; the others: trial).
     confirm: sightings (trial) or counter (counter) from which a landmark is believed; 1 believes at once.
     merge: landmarks that turn out to be the same become one.
     local: only landmarks near what the sensor sees take part. reliable_range: m, up to which a landmark that is
@@ -151,7 +151,7 @@ class AssociationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     window: mda only: frames decided together. detection: probability that a landmark in view is seen,
         false_rate: expected false sightings a frame, new_rate: new landmarks a frame (mda; "existence"
         estimates the first as it goes).
-    work: most nodes (jcbb) or iterations (mda) of a search.
+    work: jcbb only: most nodes of a search.
     attributes: used as an extra likelihood.
     """
 
