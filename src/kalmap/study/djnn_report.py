@@ -115,7 +115,7 @@ def _paper(plan: Plan, movers: int, method: str) -> tuple[float | None, ...] | N
     row = DJNN.get((movers, method))
     if row is None or plan.altered:
         return None
-    known = (row.accuracy, 1e3 * row.time_s, None if row.features is None else float(row.features))
+    known = (row.accuracy, None, 1e3 * row.time_s, None if row.features is None else float(row.features))
     return (*known, *(None,) * (len(_COLUMNS) - len(known)))
 
 
