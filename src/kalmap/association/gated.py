@@ -87,7 +87,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     new_gate: float = 0.999999
     extent: float = 0.0
     ambiguity: float = 0.0
-    patience: int = 500
+    patience: int = 100
     region: Region = Region()
     management: BuiltInManagement = Keep()
     merging: Merging | None = None

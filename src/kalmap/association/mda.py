@@ -18,10 +18,11 @@ from kalmap.association.ambiguity import ambiguous
 from kalmap.association.assignment import Assigned, solve_assignment
 from kalmap.association.associator import Predicted
 from kalmap.association.attributes import unknown
+from kalmap.association.checks import check
 from kalmap.association.gated import Gated, Matching, Table
 from kalmap.association.management import BuiltInManagement, Trial
 from kalmap.kernels import nearest as kernel
-from kalmap.records import NEW, Association, ConfigError, Reason, Sightings
+from kalmap.records import NEW, Association, Reason, Sightings
 
 _MOST_TUPLES = 200_000  # beyond it the least likely pairs of each landmark are left out
 Key = tuple[int, int]
@@ -85,13 +86,11 @@ class Mda(Gated, frozen=True, kw_only=True, tag=True):
 
     def __post_init__(self) -> None:
         Gated.__post_init__(self)
-        if self.window < 2:
-            raise ConfigError(f"association.window: expected 2 frames or more, got {self.window}")
-        if not 0.0 < self.detection < 1.0:
-            raise ConfigError(f"association.detection: {self.detection} does not lie between 0 and 1")
-        for name in ("false_rate", "new_rate"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"association.{name}: expected more than 0, got {getattr(self, name)}")
+        check(self.window >= 2, "window", "2 frames or more", self.window)
+        check(0.0 < self.detection < 1.0, "detection", "a probability between 0 and 1", self.detection)
+        check(0.0 < self.false_rate < math.inf, "false_rate", "more than 0", self.false_rate)
+        check(0.0 < self.new_rate < math.inf, "new_rate", "more than 0", self.new_rate)
+        check(self.work >= 1, "work", "1 or more", self.work)
 
     def glance(
         self,

@@ -69,7 +69,7 @@ def associator_from_config(config: AssociationConfig) -> Associator:
 
 
 def _management(config: AssociationConfig) -> BuiltInManagement:
-    name = config.management or _OWN_MANAGEMENT.get(config.method, "trial")
+    name = config.management or _OWN_MANAGEMENT.get(config.method, "existence")
     if name == "trial":
         return Trial(confirm=config.confirm, window=config.confirm_window)
     if name == "counter":

@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from kalmap.association import Djnn, Jcbb, KnownIds, Likelihood, Nearest
+from kalmap.association import Djnn, Jcbb, KnownIds, Likelihood, Mda, Nearest
+from kalmap.gaussian import Belief
 from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.models.motion import BuiltInMotion
 from kalmap.models.sensor import RangeBearing
 from kalmap.records import ConfigError, LogError
+from kalmap.slam.window import Pending
+from kalmap.slam.window_checkpoint import Reading, Writing, belief_of, restore_window
 
 if TYPE_CHECKING:
     from kalmap.perception import Detector
@@ -31,7 +34,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     motion: BuiltInMotion
     sensor: RangeBearing
     lineariser: BuiltIn
-    association: KnownIds | Nearest | Likelihood | Jcbb | Djnn
+    association: KnownIds | Nearest | Likelihood | Jcbb | Mda | Djnn
     scope: str
     coordinates: str
     use: str
@@ -48,11 +51,12 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     step_number: int
     pending: bool
     robot: int
+    window: list[Pending]
 
 
 def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
     """Write atomically. Raises ConfigError if the filter holds a model that kalmap cannot name."""
-    belief, n = slam._belief, slam._belief.n
+    belief, n, writing = slam._belief, slam._belief.n, Writing()
     try:
         header = msgspec.msgpack.encode(
             _State(
@@ -76,9 +80,11 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
                 step_number=slam.step_number,
                 pending=belief.pending,
                 robot=belief.robot,
-            )
+                window=[] if slam._window is None else slam._window.pending,
+            ),
+            enc_hook=writing.hook,
         )
-        msgspec.msgpack.decode(header, type=_State)
+        msgspec.msgpack.decode(header, type=_State, dec_hook=Reading(writing.arrays).hook)
     except (TypeError, msgspec.ValidationError) as problem:
         raise ConfigError(
             f"this filter holds a part that is not built in and cannot be saved: {problem}"
@@ -86,7 +92,8 @@ def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
     buffer = io.BytesIO()
     triangle = belief.packed[: n * (n + 1) // 2]
     text = np.frombuffer(header, dtype=np.uint8)
-    np.savez(buffer, header=text, mean=belief.mean[:n], packed=triangle, phi=belief.phi)
+    arrays = {"header": text, "mean": belief.mean[:n], "packed": triangle, "phi": belief.phi} | writing.arrays
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
     target = Path(path)
     partial = target.with_name(target.name + ".partial")
     partial.write_bytes(buffer.getvalue())
@@ -99,9 +106,10 @@ def load_filter(
     """Read what `save_filter` wrote."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            state = msgspec.msgpack.decode(stored["header"].tobytes(), type=_State)
-            arrays = stored["mean"], stored["packed"], stored["phi"]
-        return _rebuild(kind, state, *arrays, detector)
+            header = stored["header"].tobytes()
+            state = msgspec.msgpack.decode(header, type=_State, dec_hook=Reading(stored).hook)
+            belief = belief_of(stored["mean"], stored["packed"], stored["phi"], state.pending)
+        return _rebuild(kind, state, belief, detector)
     except FileNotFoundError:
         raise LogError("no such file", file=path) from None
     except (*_DAMAGE, ConfigError) as problem:
@@ -123,24 +131,13 @@ _DAMAGE = (
 
 
 def _rebuild(
-    kind: type[LandmarkSlam],
-    state: _State,
-    mean: np.ndarray,
-    packed: np.ndarray,
-    phi: np.ndarray,
-    detector: Detector | None,
+    kind: type[LandmarkSlam], state: _State, belief: Belief, detector: Detector | None
 ) -> LandmarkSlam:
     """The filter, if its parts fit together."""
     if state.format != FORMAT:
         raise ValueError(f"format {state.format!r}, expected {FORMAT!r}")
-    n, robot, count = len(mean), state.robot, len(state.ids)
-    shapes = mean.shape == (n,) and packed.shape == (n * (n + 1) // 2,) and phi.shape == (robot, robot)
-    if (
-        not shapes
-        or robot != 3 + len(state.motion.biases)
-        or n != robot + 2 * count
-        or len(state.counts) != count
-    ):
+    robot, count = 3 + len(state.motion.biases), len(state.ids)
+    if (belief.robot, state.robot, belief.n, len(state.counts)) != (robot, robot, robot + 2 * count, count):
         raise ValueError("its arrays do not fit together")
     slam = kind(
         state.motion,
@@ -152,10 +149,7 @@ def _rebuild(
         use=state.use,
         detector=detector,
     )
-    belief = slam._belief
-    belief.reserve(n)
-    belief.mean[:n], belief.packed[: len(packed)], belief.n = mean, packed, n
-    belief.phi[:], belief.pending = phi, state.pending
+    slam._belief = belief
     if not slam.association.fits(state.memory, count):
         raise ValueError("the associator's memory does not fit the map")
     slam._memory = state.memory
@@ -163,4 +157,5 @@ def _rebuild(
     slam._ids, slam._counts, slam._founded = state.ids, state.counts, state.founded
     slam._on_trial = set(state.on_trial)
     slam._time, slam._moved, slam.step_number = float.fromhex(state.time), state.moved, state.step_number
+    restore_window(slam, state.window)
     return slam

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from typing import Any
 
-import msgspec
 import numpy as np
 
 from kalmap.association import Associator, KnownIds, Mda
@@ -16,8 +14,6 @@ from kalmap.kernels.sensing import first_bad_noise
 from kalmap.models import MotionModel, RangeBearing, SensorModel, VelocitySteering
 from kalmap.perception import Detector
 from kalmap.records import (
-    NEW,
-    SPURIOUS,
     Association,
     ConfigError,
     Estimate,
@@ -27,19 +23,18 @@ from kalmap.records import (
     Fix,
     Frame,
     Landmarks,
-    Managed,
     Odometry,
     Scan,
     Sightings,
 )
 from kalmap.slam.checkpoint import load_filter, save_filter
 from kalmap.slam.engines import BadSampleError, CompiledEngine, Engine, GeneralEngine
+from kalmap.slam.map_state import MapState
 from kalmap.slam.predicted import PredictedMap
-from kalmap.slam.region import LandmarkIndex
 from kalmap.slam.window import Revisions, Window
 
 
-class LandmarkSlam:
+class LandmarkSlam(MapState):
     """EKF, UKF, CDKF or CKF SLAM, O(n^2) or O(n^3), in additive or right-invariant error coordinates.
 
     motion, sensor: models. lineariser: `Jacobian()`, `Unscented()`, `CentralDifference()`, `Cubature()` or any
@@ -69,24 +64,17 @@ class LandmarkSlam:
         self.motion = VelocitySteering() if motion is None else motion
         self.sensor = RangeBearing() if sensor is None else sensor
         self.lineariser = CentralDifference() if lineariser is None else lineariser
-        self.association = KnownIds() if association is None else association
         self.detector = detector
         self.scope, self.coordinates, self.use = scope, coordinates, use
-        self._engine = self._make_engine()
         pose, covariance = _checked_start(start, start_covariance)
         biases = self.motion.biases
-        self._belief = Belief(
+        belief = Belief(
             np.concatenate([pose, [bias.mean for bias in biases]]),
             _block_diagonal(covariance, np.array([bias.sigma**2 for bias in biases])),
         )
-        self._memory: Any = self.association.start()
-        self._index = LandmarkIndex()
-        self._window = Window(self, self.association) if isinstance(self.association, Mda) else None
+        super().__init__(self._make_engine(), belief, KnownIds() if association is None else association)
+        self._window = Window(self) if isinstance(self.association, Mda) else None
         self.frame_revisions: Revisions = {}
-        self._ids: list[int] = []
-        self._counts: list[int] = []
-        self._on_trial: set[int] = set()  # lasting numbers of landmarks that are not confirmed yet
-        self._founded = 0
         self._time = float("-inf")
         self._moved = False
         self.step_number = 0
@@ -97,9 +85,6 @@ class LandmarkSlam:
         self.frame_sightings: Sightings | None = None
         self.explain = False
         self.frame_decision: Frame | None = None
-        self._frames = 0
-        self.merged: dict[int, int] = {}
-        self.rejected: set[int] = set()
         self.association_seconds = 0.0
 
     def _make_engine(self) -> Engine:
@@ -213,135 +198,18 @@ class LandmarkSlam:
 
     def take_decided(self, frame: Sightings, noises: np.ndarray, association: Association) -> None:
         """Carry out what was decided about a frame: update, found, confirm, merge, remove."""
-        self.frame_nis, self.frame_used, self.frame_decision = float("nan"), 0, None
         before = None
         if association.why is not None:
             before = self.predicted(frame, noises).look(association.why, self._ids)
-        self._apply(frame, association, frame.values, noises)
+        self.frame_nis, self.frame_used = self._apply(frame, noises, association)
         self.frame_association, self.frame_sightings = association, frame
-        self.association.settle(self._memory, association)
+        self._settle(association)
         if not self.association.uses_ids:
-            self._label(association.matched)
-        for index in association.confirmed:
-            self._on_trial.discard(self._ids[index])
+            self.frame_labels = self._labels_of(association.matched)
+        self.frame_decision = None
         if before is not None:
-            self.frame_decision = self._decision(frame, association, before)
-        for keep, drop in association.merged:
-            self._merge(keep, drop)
-        gone = {*association.retired, *(drop for _, drop in association.merged)}
-        for index in sorted(gone, reverse=True):
-            self._remove(index)
-        self._frames += 1
-
-    def _apply(self, frame: Sightings, association: Association, z: np.ndarray, noises: np.ndarray) -> None:
-        matched, count = association.matched.tolist(), len(self._ids)
-        robot = self._belief.robot
-        held = self._on_trial.difference(self._ids[index] for index in association.confirmed)
-        old = [m for m, index in enumerate(matched) if 0 <= index < count]
-        used = [m for m in old if self._ids[matched[m]] not in held] if held else old
-        if used:
-            indices = np.array([robot + 2 * matched[m] for m in used], dtype=np.int64)
-            self.frame_nis = self._correct(*_pick(z, used), indices, *_pick(noises, used))
-            self.frame_used = len(used)
-        for m in old:
-            self._counts[matched[m]] += 1
-        fresh = [m for m, index in enumerate(matched) if index == NEW]
-        if fresh:
-            self._engine.append(self._belief, *_pick(z, fresh), *_pick(noises, fresh))
-            for m in fresh:
-                known = self.association.uses_ids and frame.ids is not None
-                self._ids.append(int(frame.ids[m]) if known else self._founded)  # type: ignore[index]
-                self._counts.append(1)
-                if association.on_trial:
-                    self._on_trial.add(self._ids[-1])
-                self._founded += 1
-        again = [m for m, index in enumerate(matched) if index >= count]
-        if again:  # seen twice in the frame that founds it
-            indices = np.array([robot + 2 * matched[m] for m in again], dtype=np.int64)
-            self._correct(*_pick(z, again), indices, *_pick(noises, again))
-            for m in again:
-                self._counts[matched[m]] += 1
-
-    def _correct(self, z: np.ndarray, indices: np.ndarray, noises: np.ndarray) -> float:
-        """Apply matched sightings, and tell the index how far that moved the map. Returns the NIS."""
-        belief = self._belief
-        before = belief.mean[belief.robot : belief.n].copy()
-        nis = self._engine.update(belief, z, indices, noises)
-        self._index.moved(_furthest(before, belief.mean[belief.robot : belief.n]))
-        return nis
-
-    def _merge(self, keep: int, drop: int) -> None:
-        """Two landmarks become one: what was known of each is known of it."""
-        belief = self._belief
-        before = belief.mean[belief.robot : belief.n].copy()
-        extent = getattr(self.association, "extent", 0.0)
-        self._engine.merge(belief, belief.robot + 2 * keep, belief.robot + 2 * drop, extent)
-        self._index.moved(_furthest(before, belief.mean[belief.robot : belief.n]))
-        self._counts[keep] += self._counts[drop]
-        self.merged[self._ids[drop]] = self._ids[keep]
-
-    def _label(self, matched: np.ndarray) -> None:
-        """Leave the landmarks' lasting numbers of this frame in `frame_labels`: (M,), SPURIOUS where unused."""
-        self.frame_labels = self._labels_of(matched)
-
-    def _labels_of(self, matched: np.ndarray) -> np.ndarray:
-        labels = matched.copy()
-        fresh = len(self._ids) - int((matched == NEW).sum())
-        for m, index in enumerate(matched.tolist()):
-            if index == NEW:
-                labels[m] = self._ids[fresh]
-                fresh += 1
-            elif index >= 0:
-                labels[m] = self._ids[index]
-        return labels
-
-    def _decision(self, frame: Sightings, association: Association, before: Frame) -> Frame:
-        """The frame's entry in the audit trail: `before` with what became of the sightings."""
-        labels = self.frame_labels if not self.association.uses_ids else self._labels_of(association.matched)
-        assert association.why is not None
-        founded = tuple(
-            Managed(label, "founded", f"by sighting {m}")
-            for m, (label, index) in enumerate(zip(labels.tolist(), association.matched.tolist()))
-            if index == NEW
-        )
-        managed = tuple(
-            Managed(
-                self._ids[entry.landmark],
-                entry.action,
-                entry.why,
-                -1 if entry.into < 0 else self._ids[entry.into],
-            )
-            for entry in association.why.managed
-        )
-        return msgspec.structs.replace(
-            before,
-            number=self._frames,
-            time=frame.time,
-            labels=labels.copy(),
-            trial=np.array([label in self._on_trial for label in labels.tolist()], dtype=np.bool_),
-            why=msgspec.structs.replace(before.why, managed=founded + managed),
-        )
-
-    def _remove(self, index: int) -> None:
-        self._belief.remove(self._belief.robot + 2 * index, 2)
-        self._index.removed(index)
-        if self._ids[index] in self._on_trial:
-            self.rejected.add(self._ids[index])
-        self._on_trial.discard(self._ids[index])
-        del self._ids[index], self._counts[index]
-
-    def settled_labels(self, labels: np.ndarray) -> np.ndarray:
-        """Labels given during the run as the map has them now: mergers followed, landmarks never confirmed left out."""
-        settled = labels.copy()
-        for number in np.unique(labels[labels >= 0]).tolist():
-            last = number
-            while last in self.merged:
-                last = self.merged[last]
-            if last in self.rejected or last in self._on_trial:
-                last = SPURIOUS
-            if last != number:
-                settled[labels == number] = last
-        return settled
+            self.frame_decision = self._decision(association, self._labels_of(association.matched), before)
+        self._tidy(association)
 
     # --- saving -----------------------------------------------------------------------------------------------
 
@@ -427,19 +295,9 @@ class LandmarkSlam:
         )
 
 
-def _furthest(before: np.ndarray, after: np.ndarray) -> float:
-    """An upper bound on how far (m) any point of two lists of x, y, x, y, ... has moved."""
-    return 1.5 * float(np.abs(after - before).max(initial=0.0))
-
-
 def _check_shape(covariance: np.ndarray, shape: tuple[int, ...], time: float) -> None:
     if covariance.shape != shape:
         raise EventError(f"expected shape {shape}, got {covariance.shape}", time=time, field="covariance")
-
-
-def _pick(rows: np.ndarray, chosen: list[int]) -> tuple[np.ndarray]:
-    """The chosen rows, without a copy when they are all."""
-    return (rows,) if len(chosen) == len(rows) else (rows[chosen],)
 
 
 def _checked_start(start: object, covariance: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

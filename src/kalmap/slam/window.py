@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+import msgspec
 import numpy as np
 
 from kalmap.association import Expected
@@ -14,51 +14,30 @@ from kalmap.association.mda import UNUSED, Glance, Key, Mda
 from kalmap.gaussian import Belief, NotPositiveError
 from kalmap.kernels import candidates as kernel
 from kalmap.records import NEW, SPURIOUS, Association, ConfigError, Frame, Odometry, Sightings
+from kalmap.slam.map_state import MapRecord
 
 if TYPE_CHECKING:
     from kalmap.slam.landmark import LandmarkSlam
-
-# what a filter is, beside its belief: see `LandmarkSlam`
-_STATE = ("_memory", "_ids", "_counts", "_on_trial", "_founded", "merged", "rejected", "_frames")
-
 
 Revisions = dict[int, tuple[np.ndarray, Frame | None]]
 """Frame number -> its new labels (M,) and its new entry in the audit trail."""
 
 
-class Snapshot:
-    """Everything that taking a frame changes, copied: O(n^2), as much as an update."""
-
-    __slots__ = ("belief", "state")
-
-    def __init__(self, slam: LandmarkSlam) -> None:
-        self.belief = copy_belief(slam._belief)
-        self.state = {name: copy.deepcopy(getattr(slam, name)) for name in _STATE}
-
-    def restore(self, slam: LandmarkSlam) -> None:
-        """Bring the filter back. The snapshot can be used again."""
-        slam._belief = copy_belief(self.belief)
-        for name, value in self.state.items():
-            setattr(slam, name, copy.deepcopy(value))
-        slam._index.clear()
-
-
-class Pending:
+class Pending(msgspec.Struct, forbid_unknown_fields=True):
     """A frame that is not decided for good: the filter before it, the frame, what it looked like, and what came after.
 
-    tracks: a small map of the frame's own, a landmark for each of its sightings, carried along by the odometry.
-    applied: (M) the lasting number of the landmark that each sighting was taken for, SPURIOUS for none.
+    noises: (M, 2, 2). tracks: a small map of the frame's own, a landmark for each of its sightings, carried along
+    by the odometry. applied: (M) the lasting number of the landmark that each sighting was taken for, SPURIOUS for
+    none. later: the odometry until the next frame.
     """
 
-    __slots__ = ("applied", "before", "frame", "glance", "later", "noises", "tracks")
-
-    def __init__(
-        self, before: Snapshot, frame: Sightings, noises: np.ndarray, glance: Glance, tracks: Belief
-    ) -> None:
-        self.before, self.frame, self.noises, self.glance = before, frame, noises, glance
-        self.tracks = tracks
-        self.applied: list[int] = []
-        self.later: list[Odometry] = []
+    before: MapRecord
+    frame: Sightings
+    noises: np.ndarray
+    glance: Glance
+    tracks: Belief
+    applied: list[int] = []
+    later: list[Odometry] = []
 
 
 class Window:
@@ -67,15 +46,20 @@ class Window:
     Raises ConfigError for a sensor without a finite range, over which no false alarms can be spread evenly.
     """
 
-    def __init__(self, slam: LandmarkSlam, association: Mda) -> None:
+    def __init__(self, slam: LandmarkSlam) -> None:
         if not 0.0 < getattr(slam.sensor, "max_range", math.inf) < math.inf:
             raise ConfigError(
                 "association.method: mda spreads false sightings over the sensor's finite max_range"
             )
-        self.slam, self.association = slam, association
+        self.slam = slam
         self.pending: list[Pending] = []
         self._coming: Pending | None = None
         self._numbers: dict[Key, int] = {}  # tracks of the window -> lasting numbers of what they founded
+
+    @property
+    def association(self) -> Mda:
+        """The filter's own."""
+        return cast(Mda, self.slam.association)
 
     def moved(self, event: Odometry) -> None:
         """Odometry between frames: kept, and carried to the frames' own maps."""
@@ -98,7 +82,7 @@ class Window:
         revised = self._revise(keys[:-1])
         if revised:
             glance = method.glance(slam._memory, frame, slam.predicted(frame, noises), links)
-        self._coming = Pending(Snapshot(slam), frame, noises, glance, _tracks(slam, frame, noises))
+        self._coming = Pending(slam.snapshot(), frame, noises, glance, _tracks(slam, frame, noises))
         return self._conclude(self._coming, keys[-1], True, notes), revised
 
     def keep(self) -> None:
@@ -109,6 +93,8 @@ class Window:
         self._coming = None
         if len(self.pending) >= self.association.window:
             self.pending.pop(0)
+            for entry in self.pending:  # what links them to the frame that is gone
+                entry.glance = msgspec.structs.replace(entry.glance, links=entry.glance.links[1:])
 
     def _revise(self, keys: list[list[Key]]) -> Revisions:
         """Go back to the first frame that is decided differently now and take everything from there again."""
@@ -121,9 +107,9 @@ class Window:
         for f in range(begin, len(keys)):
             entry = self.pending[f]
             if f == begin:
-                entry.before.restore(slam)
+                slam.restore(entry.before)
             else:
-                entry.before = Snapshot(slam)
+                entry.before = slam.snapshot()
                 predicted = slam.predicted(entry.frame, entry.noises)
                 entry.glance = self.association.glance(
                     slam._memory, entry.frame, predicted, entry.glance.links
@@ -165,9 +151,7 @@ class Window:
         entry.applied = [key[1] if key[0] == -1 else self._numbers.get(key, NEW) for key in keys]
         wanted: list[int] = []
         for key, number in zip(keys, entry.applied):
-            while number in slam.merged:
-                number = slam.merged[number]
-            index = SPURIOUS if key == UNUSED else place.get(number, NEW)
+            index = SPURIOUS if key == UNUSED else place.get(slam.last_number(number), NEW)
             # two landmarks of the window may have become one since
             wanted.append(SPURIOUS if index >= 0 and index in wanted else index)
         predicted = slam.predicted(frame, entry.noises)
@@ -188,18 +172,6 @@ class Window:
         if kernel.distances(z, noises, expected.z, expected.spreads, squared, log_volume):
             raise NotPositiveError("the innovation covariance of two sightings is not positive definite")
         return squared.T + self.association.told_apart(entry.frame, frame), log_volume.T
-
-
-def copy_belief(belief: Belief) -> Belief:
-    """A belief of its own with the same numbers."""
-    twin = Belief(belief.mean[: belief.robot], np.zeros((belief.robot, belief.robot)))
-    n = belief.n
-    twin.reserve(n)
-    twin.mean[:n] = belief.mean[:n]
-    twin.packed[: n * (n + 1) // 2] = belief.packed[: n * (n + 1) // 2]
-    twin.n, twin.pending = n, belief.pending
-    twin.phi[:] = belief.phi
-    return twin
 
 
 def _tracks(slam: LandmarkSlam, frame: Sightings, noises: np.ndarray) -> Belief:
