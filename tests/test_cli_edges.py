@@ -52,7 +52,7 @@ LOGS = {
     "twice in a frame": ({"sightings": ["0.05,4,0.3,7", "0.05,4.01,0.3,7", "0.15,4,0.3,7"]}, [], 0, "", 1),
     "twice, likelihood": (
         {"sightings": ["0.05,4,0.3,7", "0.05,9,0.3,7", "0.15,4,0.3,7"]},
-        *(["--association", "likelihood"], 0, "", 1),  # 9 m was seen once: on trial still
+        *(["--association", "likelihood"], 0, "", 0),  # three sightings at most: not likely enough yet
     ),
     "twice, likelihood, all kept": (
         {"sightings": ["0.05,4,0.3,7", "0.05,9,0.3,7", "0.15,4,0.3,7"]},

@@ -29,7 +29,7 @@ BATCH = "LS_result_DLR_original_cov_global_minimum.mat"
 DEFAULTS = RunConfig(
     motion=MotionConfig(model="increments"),
     sensor=SensorConfig(sigma_range=0.08, sigma_bearing_deg=1.5, max_range=5.0, field_of_view_deg=180.0),
-    association=AssociationConfig(method="known"),
+    association=AssociationConfig(method="known", management="trial", confirm=2),
 )
 """The log states a covariance for every step and sighting; the sigmas serve only where it is not used."""
 

@@ -142,7 +142,7 @@ class AssociationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     management: "keep" believes every landmark; "trial" those with `confirm` sightings in `confirm_window`
         frames that could see them; "counter" counts sightings up and misses down, believes from `confirm` on
         and removes at 0, also from the map; "existence" keeps a probability for each, and believes from
-        `existence` on. None: what the method has by itself (djnn: counter; the others: trial).
+        `existence` on. None: what the method has by itself (djnn: counter; the others: existence).
     confirm: sightings (trial) or counter (counter) from which a landmark is believed; 1 believes at once.
     merge: landmarks that turn out to be the same become one.
     local: only landmarks near what the sensor sees take part. reliable_range: m, up to which a landmark that is
