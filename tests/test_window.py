@@ -19,7 +19,7 @@ from kalmap.association import (
 )
 from kalmap.association.mda import UNUSED
 from kalmap.models import RangeBearing, VelocitySteering
-from kalmap.records import SPURIOUS, ConfigError, EventError, Odometry, Sightings
+from kalmap.records import SPURIOUS, ConfigError, EstimationError, EventError, Odometry, Sightings
 from kalmap.slam import LandmarkSlam, run
 from slam_problems import STEERING_BIASES, XYSensor, circle_events, feed, log_of, state_of
 from window_problems import (
@@ -237,6 +237,18 @@ def test_a_refused_frame_leaves_nothing_behind():
         feed(slam, [event])
         feed(twin, [event])
         assert state_of(slam) == state_of(twin)
+
+
+def test_sightings_without_noise_cannot_be_compared():
+    """Oracle: by hand: two exact sightings from one place have no distance in standard deviations: an error with the
+    step's number, and the filter as it was."""
+    slam, exact = LandmarkSlam(**still()), np.zeros((1, 2, 2))
+    slam.step(Odometry(0.0, np.array([[0.0, 0.0]]), np.array([0.1])))
+    slam.step(Sightings(0.0, np.array(ONE), covariance=exact))
+    before = state_of(slam)
+    with pytest.raises(EstimationError, match=r"step 1.*two sightings"):
+        slam.step(Sightings(0.0, np.array(ONE), covariance=exact))
+    assert state_of(slam) == before
 
 
 @pytest.mark.parametrize("sensor", [RangeBearing(max_range=np.inf), XYSensor(np.eye(2))])
