@@ -6,7 +6,8 @@ see there.
 One frame is `associate` and `settle`, landmark management included, the reasons not asked for: everything from the
 sightings to the updated memory, but not the filter's update.
 
-CPU time of the process, one BLAS thread; the median over the frames of the median over the rounds.
+Time by the wall, one BLAS thread; the median over the frames of the median over the rounds, so that being interrupted
+does not count. A third of DJNN's is the filter's own regression of the candidates (central differences).
 
     python benchmarks/association.py [--quick]
 """
@@ -82,13 +83,13 @@ class Course:
         for k, (pose, frame) in enumerate(zip(self.poses, self.frames, strict=True)):
             self.belief.mean[:3] = pose
             noises, _ = self.slam._engine.noises(frame.values)
-            begin = time.process_time()
+            begin = time.perf_counter()
             predicted = PredictedMap(
                 self.slam._engine, self.belief, self.slam.sensor, self.index, frame, noises
             )
             association = method.associate(memory, frame, predicted)
             method.settle(memory, association)
-            spent[k] = time.process_time() - begin
+            spent[k] = time.perf_counter() - begin
         return spent
 
 
