@@ -108,6 +108,20 @@ def test_everyone_goes_on_for_long(world, method):
     sound_and_bounded(world, method, LONG)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [method for method in METHODS if "trial" not in method])
+def test_a_second_lap_among_clutter_adds_nothing(method):
+    """Oracle: the log: ten thousand false sightings in two laps, and all 35 features seen in the first: by their own
+    management the methods end with a third more landmarks than features at most, few of which the second lap added."""
+    log = simulate(world_by_name("clutter-5"), 1)
+    frames = [event for event in log if isinstance(event, Sightings)]
+    assert sum(int((frame.ids < 0).sum()) for frame in frames) > 10_000
+    slam, outcome = taken(log, METHODS[method])
+    assert_sound(slam, outcome, len(frames))
+    first = int(outcome.trace.landmarks[len(outcome.trace.landmarks) // 2])
+    assert 35 <= slam.landmark_count <= min(1.33 * 35, first + 4)
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("world", ["clutter-5", "breaker"])
 def test_who_is_on_trial_is_decided_in_time(world, method):
