@@ -136,7 +136,7 @@ def world_section(name: str, records: Sequence[Record]) -> str:
 
 
 def _indefinite(record: Record) -> bool:
-    return record["least_eigenvalue"] is not None and record["least_eigenvalue"] <= 0.0
+    return record.get("least_eigenvalue", 1.0) <= 0.0
 
 
 def world_notes(groups: Sequence[Sequence[Record]]) -> list[str]:
@@ -151,7 +151,7 @@ def world_notes(groups: Sequence[Sequence[Record]]) -> list[str]:
             f"State grown beyond {GROWN:g} times the true number (landmarks on trial)",
             lambda r: r["state_landmarks"] > GROWN * r["true_landmarks"],
         ),
-        (f"NEES beyond {LOST_NEES:g}", lambda r: (r["nees_mean"] or 0.0) > LOST_NEES),
+        (f"NEES beyond {LOST_NEES:g}", lambda r: r.get("nees_mean", 0.0) > LOST_NEES),
         ("Covariance not positive", lambda r: _indefinite(r)),
     ):
         found = []

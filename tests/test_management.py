@@ -192,7 +192,7 @@ def bayes(p: float, seen: bool, detection: float, false: float) -> float:
 def test_existence_is_bayes_rule(seed):
     """Oracle: the recursion on probabilities; log-odds must say the same."""
     rng = np.random.default_rng(seed)
-    management = Existence(detection=0.7, false_rate=0.2, prior=0.4, admit=1.0, expel=0.0, most=40.0)
+    management = Existence(detection=0.7, false_rate=0.2, prior=0.4, admit=1.0 - 1e-12, expel=0.0, most=40.0)
     frames = (rng.random(15) < 0.6).astype(int).tolist()
     p, expected = 0.4, []
     for seen in frames:
