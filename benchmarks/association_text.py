@@ -132,7 +132,7 @@ def world_section(name: str, records: Sequence[Record]) -> str:
     rows = [mean_row(group) for group in groups]
     true = next((r["true_landmarks"] for r in runs if r["error"] is None), None)
     text = table(rows, WORLD_COLUMNS, lambda row: [str(row["runs"]), str(row["failed"])], ["runs", "failed"])
-    return "\n".join([f"### {name}: {true} features\n", text, "", *world_notes(groups)])
+    return "\n".join([f"### {name}: {true:g} features\n", text, "", *world_notes(groups)])
 
 
 def _indefinite(record: Record) -> bool:
