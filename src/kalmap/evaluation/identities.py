@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from kalmap.evaluation.pairing import best_pairing
 from kalmap.records import SightingTruth
 
 _UNIDENTIFIED = -1
@@ -38,7 +39,7 @@ def sighting_identities(
         raise ValueError(f"as many ids as times are needed, got {len(truth.ids)} and {len(truth.times)}")
     ids = np.full(len(times), _UNIDENTIFIED, dtype=np.int64)
     if len(found) and len(given):
-        rows, columns = _pairing(*_candidates(found, given, cutoff, tolerance), cutoff)
+        rows, columns = best_pairing(*_candidates(found, given, cutoff, tolerance), cutoff)
         ids[found_rows[rows]] = truth.ids[given_rows[columns]]
     return ids
 
@@ -68,49 +69,3 @@ def _candidates(
     distance = np.hypot(gap[:, 0], gap[:, 1])
     kept = (distance < cutoff) & (np.abs(gap[:, 2]) <= tolerance)
     return rows[kept], columns[kept], distance[kept]
-
-
-def _pairing(
-    rows: np.ndarray, columns: np.ndarray, distance: np.ndarray, cutoff: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """The one-to-one pairing among the candidate pairs that saves most of `cutoff`, summed over the pairs.
-
-    Pairs whose partners have no other candidate are taken as they are; each group that hangs together is
-    solved by itself.
-    """
-    alone = (np.bincount(rows)[rows] == 1) & (np.bincount(columns)[columns] == 1)
-    pairs = [np.stack([rows[alone], columns[alone]])]
-    contested = np.flatnonzero(~alone)
-    group = _groups(rows[contested], columns[contested])
-    order = np.argsort(group, kind="stable")
-    for members in np.split(contested[order], np.flatnonzero(np.diff(group[order])) + 1):
-        pairs.append(_solve(rows[members], columns[members], distance[members], cutoff))
-    first, second = np.concatenate(pairs, axis=1)
-    return first, second
-
-
-def _groups(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """(K,) the number of the connected group that each pair belongs to."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    if not len(rows):
-        return np.zeros(0, dtype=np.int64)
-    size = rows.max() + 1
-    ends = size + columns
-    total = ends.max() + 1
-    graph = coo_array((np.ones(len(rows), dtype=bool), (rows, ends)), shape=(total, total))
-    return np.asarray(connected_components(graph, directed=False)[1][rows])
-
-
-def _solve(rows: np.ndarray, columns: np.ndarray, distance: np.ndarray, cutoff: float) -> np.ndarray:
-    """(2, P) the best pairing of one group."""
-    from scipy.optimize import linear_sum_assignment
-
-    left, row = np.unique(rows, return_inverse=True)
-    right, column = np.unique(columns, return_inverse=True)
-    table = np.full((len(left), len(right)), cutoff)
-    table[row, column] = distance
-    first, second = linear_sum_assignment(table)
-    near = table[first, second] < cutoff
-    return np.stack([left[first[near]], right[second[near]]])
