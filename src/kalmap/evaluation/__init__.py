@@ -1,4 +1,4 @@
-"""How good a result is: trajectory and map errors, consistency, association, time, paired tests."""
+"""How good a result is: trajectory and map errors, set distances, consistency, association, time, paired tests."""
 
 from kalmap.evaluation.association import (
     AssociationScore,
@@ -21,6 +21,18 @@ from kalmap.evaluation.landmarks import MapScore, pair_by_id, pair_by_nearest, s
 from kalmap.evaluation.metrics import Metrics, Options, evaluate
 from kalmap.evaluation.owners import LandmarkScore, landmark_owners, score_landmarks
 from kalmap.evaluation.paired import PairedTest, paired_test
+from kalmap.evaluation.set_course import SetCourse, seen_so_far, set_errors_over_time
+from kalmap.evaluation.sets import (
+    CardinalityError,
+    Cola,
+    Gospa,
+    Ospa,
+    SetError,
+    cardinality_error,
+    cola,
+    gospa,
+    ospa,
+)
 from kalmap.evaluation.timing import StepTimes, step_times
 from kalmap.evaluation.trajectory import (
     ErrorSummary,
@@ -36,26 +48,36 @@ from kalmap.evaluation.trajectory import (
 
 __all__ = [
     "AssociationScore",
+    "CardinalityError",
+    "Cola",
     "ErrorSummary",
+    "Gospa",
     "LandmarkScore",
     "MapScore",
     "Matched",
     "Metrics",
     "NisSummary",
     "Options",
+    "Ospa",
     "PairScore",
     "PairedTest",
     "RelativeError",
+    "SetCourse",
+    "SetError",
     "StepTimes",
     "Verdict",
     "absolute_trajectory_error",
+    "cardinality_error",
     "chi2_band",
+    "cola",
     "evaluate",
+    "gospa",
     "heading_errors",
     "landmark_owners",
     "match",
     "mean_nees",
     "nis_summary",
+    "ospa",
     "pair_by_id",
     "pair_by_nearest",
     "paired_test",
@@ -69,6 +91,8 @@ __all__ = [
     "score_by_nearest",
     "score_landmarks",
     "score_pairs",
+    "seen_so_far",
+    "set_errors_over_time",
     "share_inside",
     "sighting_identities",
     "step_times",
