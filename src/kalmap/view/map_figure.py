@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _MANY = 120
 # Height over width of a map lies between these.
 _FLATTEST, _TALLEST = 0.4, 1.0
+Limits = tuple[float, float, float, float]
 
 
 def map_figure(run: RunView) -> Figure:
@@ -34,7 +35,7 @@ def map_figure(run: RunView) -> Figure:
     return figure
 
 
-def map_limits(runs: list[RunView]) -> tuple[float, float, float, float]:
+def map_limits(runs: list[RunView]) -> Limits:
     """Left, right, bottom and top that hold what all runs estimate and know, with a margin, m.
 
     Ellipses do not count: an unsure landmark must not shrink the rest.
@@ -44,7 +45,11 @@ def map_limits(runs: list[RunView]) -> tuple[float, float, float, float]:
         clouds += [run.path()[0], run.estimate.landmarks.positions, run.estimate.pose[None, :2]]
         if run.reference is not None:
             clouds += [run.reference.path, run.reference.landmarks]
-    points = np.concatenate(clouds)
+    return limits_around(np.concatenate(clouds))
+
+
+def limits_around(points: np.ndarray) -> Limits:
+    """Left, right, bottom and top that hold the finite points (N, 2), with a margin, m."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
     middle, half = (low + high) / 2, (high - low) / 2
@@ -55,7 +60,7 @@ def map_limits(runs: list[RunView]) -> tuple[float, float, float, float]:
     return left, right, bottom, top
 
 
-def draw_map(axes: Axes, run: RunView, limits: tuple[float, float, float, float]) -> None:
+def draw_map(axes: Axes, run: RunView, limits: Limits) -> None:
     """Draw one run's map into axes, with equal scales."""
     if run.reference is not None:
         _draw_reference(axes, run.reference)
@@ -114,7 +119,7 @@ def _draw_landmarks(axes: Axes, landmarks: Landmarks) -> None:
     axes.add_collection(ellipses)
 
 
-def _draw_robot(axes: Axes, run: RunView, limits: tuple[float, float, float, float]) -> None:
+def _draw_robot(axes: Axes, run: RunView, limits: Limits) -> None:
     """The final pose as an arrow-head that points ahead, with its 95 % ellipse."""
     x, y, heading = run.estimate.pose
     if not np.isfinite(run.estimate.pose).all():
