@@ -5,8 +5,10 @@ from kalmap.view.comparison import render_comparison, render_study
 from kalmap.view.decision_figure import decision_figure
 from kalmap.view.dots_figure import dots_figure
 from kalmap.view.figures import comparison_figures, run_figures
-from kalmap.view.inputs import Aligned, Errors, RunView, StudyCurve, StudyDots, StudyRow, StudyTable
+from kalmap.view.inputs import Aligned, Errors, RunView, SetCurve, StudyCurve, StudyDots, StudyRow, StudyTable
+from kalmap.view.intensity_figure import intensity_figure
 from kalmap.view.report import Trail, render_report
+from kalmap.view.set_figure import set_error_figure
 from kalmap.view.study_figure import study_figure
 from kalmap.view.style import save_figures
 
@@ -14,6 +16,7 @@ __all__ = [
     "Aligned",
     "Errors",
     "RunView",
+    "SetCurve",
     "StudyCurve",
     "StudyDots",
     "StudyRow",
@@ -22,11 +25,13 @@ __all__ = [
     "comparison_figures",
     "decision_figure",
     "dots_figure",
+    "intensity_figure",
     "maps_figure",
     "render_comparison",
     "render_report",
     "render_study",
     "run_figures",
     "save_figures",
+    "set_error_figure",
     "study_figure",
 ]

@@ -83,6 +83,19 @@ class StudyCurve(msgspec.Struct, frozen=True):
     heading: np.ndarray
 
 
+class SetCurve(msgspec.Struct, frozen=True):
+    """One method's map as a set, over F instants, (F,) each.
+
+    number: features in the map. ospa, localisation, cardinality: m, the distance to the true map and its parts.
+    """
+
+    method: str
+    number: np.ndarray
+    ospa: np.ndarray
+    localisation: np.ndarray
+    cardinality: np.ndarray
+
+
 class StudyRow(msgspec.Struct, frozen=True):
     """One method's numbers, and beside them the paper's where it gives any (None, or None a cell)."""
 

@@ -1,0 +1,59 @@
+"""A map as a set, over time: how many features it has, and how far it is from the true one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kalmap.view import style
+from kalmap.view.inputs import SetCurve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_TRUE: dict[str, Any] = {"color": style.BLACK, "lw": 3.2, "alpha": 0.28, "zorder": 1.5}
+
+
+def set_error_figure(times: np.ndarray, curves: Sequence[SetCurve], true_number: np.ndarray) -> Figure:
+    """Number of features over time on top, below it OSPA, and its two parts side by side on one scale.
+
+    times: (F,) s, of all curves. true_number: (F,) how many features the map should have.
+    """
+    with style.house_style():
+        if not curves or not len(times):
+            figure = style.new_figure(height=2.0)
+            style.say(figure.add_subplot(), "No curves: no map was judged as a set.")
+            return figure
+        figure = style.new_figure(height=7.0)
+        grid = figure.add_gridspec(3, 2, height_ratios=(1.1, 1.2, 1.0))
+        number = figure.add_subplot(grid[0, :])
+        whole = figure.add_subplot(grid[1, :], sharex=number)
+        first = figure.add_subplot(grid[2, 0], sharex=number)
+        second = figure.add_subplot(grid[2, 1], sharex=number, sharey=first)
+        number.plot(times, true_number, drawstyle="steps-post", label="truth, seen so far", **_TRUE)
+        for index, curve in enumerate(curves):
+            looks = style.method_style(index)
+            number.plot(times, curve.number, drawstyle="steps-post", label=curve.method, **looks)
+            whole.plot(times, curve.ospa, **looks)
+            first.plot(times, curve.localisation, **looks)
+            second.plot(times, curve.cardinality, **looks)
+        _write(number, "features", "Number of features in the map")
+        _write(whole, "OSPA (m)", "OSPA: distance of the map to the true one")
+        _write(first, "part of OSPA (m)", "Localisation part")
+        _write(second, "", "Cardinality part")
+        for axes in (first, second):
+            axes.set_xlabel("time (s)")
+        second.tick_params(labelleft=False)
+        handles, labels = number.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
+    return figure
+
+
+def _write(axes: Axes, label: str, title: str) -> None:
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.set_ylabel(label)
+    axes.set_title(title)
