@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from kalmap.association import Associator, KnownIds, Mda
 from kalmap.gaussian import Belief, CentralDifference, Lineariser, NotPositiveError
-from kalmap.kernels.sensing import first_bad_noise
 from kalmap.models import MotionModel, RangeBearing, SensorModel, VelocitySteering
 from kalmap.perception import Detector
 from kalmap.records import (
@@ -28,6 +26,14 @@ from kalmap.records import (
     Sightings,
 )
 from kalmap.slam.checkpoint import load_filter, save_filter
+from kalmap.slam.checks import (
+    block_diagonal,
+    check_frame,
+    check_odometry,
+    check_sightings,
+    check_time,
+    checked_start,
+)
 from kalmap.slam.engines import BadSampleError, CompiledEngine, Engine, GeneralEngine
 from kalmap.slam.map_state import MapState
 from kalmap.slam.predicted import PredictedMap
@@ -66,11 +72,11 @@ class LandmarkSlam(MapState):
         self.lineariser = CentralDifference() if lineariser is None else lineariser
         self.detector = detector
         self.scope, self.coordinates, self.use = scope, coordinates, use
-        pose, covariance = _checked_start(start, start_covariance)
+        pose, covariance = checked_start(start, start_covariance)
         biases = self.motion.biases
         belief = Belief(
             np.concatenate([pose, [bias.mean for bias in biases]]),
-            _block_diagonal(covariance, np.array([bias.sigma**2 for bias in biases])),
+            block_diagonal(covariance, np.array([bias.sigma**2 for bias in biases])),
         )
         super().__init__(self._make_engine(), belief, KnownIds() if association is None else association)
         self._window = Window(self) if isinstance(self.association, Mda) else None
@@ -113,12 +119,7 @@ class LandmarkSlam(MapState):
 
     def step(self, event: Event) -> None:
         """Take one event: odometry predicts, sightings and scans correct, a fix from outside is not used."""
-        if event.time < self._time:
-            raise EventError(
-                f"comes late: the filter is already at {self._time:.6g} s", time=event.time, field="time"
-            )
-        if not math.isfinite(event.time):
-            raise EventError("is not a finite number", time=event.time, field="time")
+        check_time(event, self._time)
         try:
             if isinstance(event, Odometry):
                 self._predict(event)
@@ -136,22 +137,14 @@ class LandmarkSlam(MapState):
         self._changes += 1
 
     def _predict(self, event: Odometry) -> None:
-        values = event.values
-        if values.ndim != 2 or values.shape != (len(event.durations), self.motion.control_size):
-            raise EventError(
-                f"expected {len(event.durations)} samples of {self.motion.control_size} numbers, got {values.shape}",
-                time=event.time,
-                field="values",
-            )
-        if event.covariance is not None:
-            _check_shape(event.covariance, (*values.shape, values.shape[1]), event.time)
+        check_odometry(event, self.motion)
         try:
             self._engine.predict(self._belief, event)
         except BadSampleError as problem:
             raise EventError(str(problem), time=event.time, field="values") from problem
         if self._window is not None:
             self._window.moved(event)
-        self.step_number += len(values)
+        self.step_number += len(event.values)
         self._moved = True
 
     def _detect(self, scan: Scan) -> Sightings:
@@ -161,26 +154,9 @@ class LandmarkSlam(MapState):
 
     def _observe(self, frame: Sightings) -> None:
         """One frame: associate, update, found new landmarks, retire spurious ones."""
-        z = frame.values
-        if not self._moved:
-            raise EventError("a sighting before any odometry", time=frame.time, field="time")
-        if z.ndim != 2 or z.shape[1] != 2:
-            raise EventError(f"expected (M, 2) sightings, got {z.shape}", time=frame.time, field="values")
-        noises, bad = self._engine.noises(z)
-        if bad >= 0:
-            raise EventError(
-                f"sighting {bad + 1} is {z[bad, 0]:g} m, {z[bad, 1]:g} rad: expected finite numbers and a range >= 0",
-                time=frame.time,
-                field="bearing" if np.isfinite(z[bad, 0]) and z[bad, 0] >= 0.0 else "range",
-            )
-        if frame.ids is not None and len(frame.ids) != len(z):
-            raise EventError(
-                f"{len(frame.ids)} identities for {len(z)} sightings", time=frame.time, field="ids"
-            )
-        if frame.covariance is not None:
-            _check_shape(frame.covariance, (len(z), 2, 2), frame.time)
-            if first_bad_noise(frame.covariance) >= 0:  # before any of the frame is used
-                raise NotPositiveError("the noise of a sighting is not positive semi-definite")
+        check_frame(frame, self._moved)
+        noises, bad = self._engine.noises(frame.values)
+        check_sightings(frame, bad)
         noises = noises if frame.covariance is None else frame.covariance
         begin = time.perf_counter()
         if self._window is None:
@@ -293,29 +269,3 @@ class LandmarkSlam(MapState):
             joint=joint,
             coordinates=self.coordinates,
         )
-
-
-def _check_shape(covariance: np.ndarray, shape: tuple[int, ...], time: float) -> None:
-    if covariance.shape != shape:
-        raise EventError(f"expected shape {shape}, got {covariance.shape}", time=time, field="covariance")
-
-
-def _checked_start(start: object, covariance: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    pose = np.array(start, dtype=float)
-    block = np.zeros((3, 3)) if covariance is None else np.array(covariance, dtype=float)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise ConfigError("start: expected a finite pose (x, y, heading)")
-    if block.shape != (3, 3) or not np.isfinite(block).all() or not np.allclose(block, block.T, atol=1e-12):
-        raise ConfigError("start_covariance: expected a finite symmetric 3 x 3 matrix")
-    values = np.linalg.eigvalsh(block)
-    if values[0] < -1e-12 * max(1.0, float(values[-1])):
-        raise ConfigError("start_covariance: is not positive semi-definite")
-    return pose, block
-
-
-def _block_diagonal(first: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    d = len(first)
-    whole = np.zeros((d + len(variances), d + len(variances)))
-    whole[:d, :d] = first
-    whole[range(d, len(whole)), range(d, len(whole))] = variances
-    return whole
