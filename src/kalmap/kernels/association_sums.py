@@ -1,0 +1,168 @@
+"""Sums over all associations of a frame: each sighting takes one feature or none, each feature one sighting or none.
+
+With L_ij the odds of the pair (sighting i, feature j) against both being alone, the sum is
+Z = sum over matchings of the product of L over their pairs: the set likelihood of a multi-feature map, and the
+normaliser of a multi-Bernoulli update. Pairs beyond the gate have L = 0, so the problem falls into clusters.
+
+`exact` sums a cluster by dynamic programming over the subsets of its smaller side; `messages` is loopy belief
+propagation (Williams & Lau, Approximate evaluation of marginal association probabilities with belief propagation,
+2014), exact where a cluster has no loop, which also gives the probability of each pair.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+EXACT_SIDE = 10  # most members of the smaller side of a cluster that is summed exactly
+
+_ROUNDS = 200
+_SETTLED = 1e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def messages(odds, pairs, free):
+    """Probability of every pair, pairs (M, F), and of every feature to stay alone, free (F,); returns ln Z (Bethe)."""
+    count, features = odds.shape
+    to_feature = np.ones((count, features))  # nu
+    to_sighting = np.zeros((count, features))  # mu
+    for _ in range(_ROUNDS):
+        change = 0.0
+        for j in range(features):
+            total = 1.0
+            for i in range(count):
+                total += odds[i, j] * to_feature[i, j]
+            for i in range(count):
+                if odds[i, j] > 0.0:
+                    to_sighting[i, j] = odds[i, j] / max(total - odds[i, j] * to_feature[i, j], 1.0)
+        for i in range(count):
+            total = 1.0
+            for j in range(features):
+                total += to_sighting[i, j]
+            for j in range(features):
+                if odds[i, j] > 0.0:
+                    value = 1.0 / max(total - to_sighting[i, j], 1.0)
+                    change = max(change, abs(value - to_feature[i, j]))
+                    to_feature[i, j] = value
+        if change < _SETTLED:
+            break
+    log_sum = 0.0
+    for j in range(features):
+        total = 1.0
+        for i in range(count):
+            total += odds[i, j] * to_feature[i, j]
+        free[j] = 1.0 / total
+        log_sum += math.log(total)
+        for i in range(count):
+            pairs[i, j] = odds[i, j] * to_feature[i, j] / total
+    for i in range(count):
+        total = 1.0
+        for j in range(features):
+            total += to_sighting[i, j]
+            log_sum -= math.log(1.0 + to_sighting[i, j] * to_feature[i, j])
+        log_sum += math.log(total)
+    return log_sum
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cluster(odds, start, of_sighting, of_feature, rows, columns):
+    """The cluster around sighting `start`; marks its members and lists them. Returns (rows, columns) counts."""
+    count, features = odds.shape
+    rows[0], n, m = start, 1, 0
+    of_sighting[start] = True
+    done_rows, done_columns = 0, 0
+    while done_rows < n or done_columns < m:
+        if done_rows < n:
+            i = rows[done_rows]
+            done_rows += 1
+            for j in range(features):
+                if odds[i, j] > 0.0 and not of_feature[j]:
+                    of_feature[j] = True
+                    columns[m] = j
+                    m += 1
+            continue
+        j = columns[done_columns]
+        done_columns += 1
+        for i in range(count):
+            if odds[i, j] > 0.0 and not of_sighting[i]:
+                of_sighting[i] = True
+                rows[n] = i
+                n += 1
+    return n, m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _exact(odds, rows, columns, n, m):
+    """Z of a cluster of n sightings and m features, min(n, m) <= EXACT_SIDE: over subsets of the smaller side."""
+    turned = m < n
+    inner, outer = (m, n) if turned else (n, m)
+    sums = np.zeros(1 << inner)
+    sums[0] = 1.0
+    for b in range(outer):
+        for subset in range((1 << inner) - 1, -1, -1):
+            value = sums[subset]
+            if value == 0.0:
+                continue
+            for a in range(inner):
+                if subset >> a & 1 == 0:
+                    pair = odds[rows[b], columns[a]] if turned else odds[rows[a], columns[b]]
+                    if pair > 0.0:
+                        sums[subset | 1 << a] += value * pair
+    return sums.sum()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def log_sum_of_associations(odds):
+    """ln Z of odds (M, F): exact cluster by cluster, by messages where a cluster is too large on both sides."""
+    count, features = odds.shape
+    of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
+    rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
+    total = 0.0
+    for start in range(count):
+        if of_sighting[start]:
+            continue
+        n, m = _cluster(odds, start, of_sighting, of_feature, rows, columns)
+        if m == 0:
+            continue
+        if min(n, m) <= EXACT_SIDE:
+            total += math.log(_exact(odds, rows, columns, n, m))
+            continue
+        part = np.empty((n, m))
+        for a in range(n):
+            for b in range(m):
+                part[a, b] = odds[rows[a], columns[b]]
+        total += messages(part, np.empty((n, m)), np.empty(m))
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def marginals(odds, pairs, free):
+    """As `messages`, cluster by cluster: pairs (M, F) is zero beyond them, free (F,) one for features without pair."""
+    count, features = odds.shape
+    of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
+    rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
+    pairs[:, :] = 0.0
+    free[:] = 1.0
+    total = 0.0
+    for start in range(count):
+        if of_sighting[start]:
+            continue
+        n, m = _cluster(odds, start, of_sighting, of_feature, rows, columns)
+        if m == 0:
+            continue
+        if n == 1 and m == 1:
+            value = odds[rows[0], columns[0]]
+            pairs[rows[0], columns[0]] = value / (1.0 + value)
+            free[columns[0]] = 1.0 / (1.0 + value)
+            total += math.log(1.0 + value)
+            continue
+        part, part_pairs, part_free = np.empty((n, m)), np.empty((n, m)), np.empty(m)
+        for a in range(n):
+            for b in range(m):
+                part[a, b] = odds[rows[a], columns[b]]
+        total += messages(part, part_pairs, part_free)
+        for b in range(m):
+            free[columns[b]] = part_free[b]
+            for a in range(n):
+                pairs[rows[a], columns[b]] = part_pairs[a, b]
+    return total

@@ -1,0 +1,147 @@
+"""One frame from one particle: who may be seen, how likely each pair is, and what is written back to the map."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from kalmap.kernels.layout import MOUNT_X, MOUNT_Y
+from kalmap.kernels.looks import detection, found, look, sight
+from kalmap.kernels.regression import wrap
+from kalmap.kernels.set_layout import (
+    BEARING,
+    BIRTH,
+    DETECTION,
+    GATE,
+    HALF_VIEW,
+    ID,
+    K11,
+    K12,
+    K21,
+    K22,
+    L11,
+    L21,
+    L22,
+    MAX_RANGE,
+    NORM,
+    PRUNE,
+    RANGE,
+    RINGS,
+    SEEN,
+    U11,
+    U21,
+    U22,
+    W11,
+    W21,
+    W22,
+    WEIGHT,
+    X,
+    Y,
+)
+
+FRAME_IDS = 4096  # ids of one frame's births
+
+_UNSEEN = 1e-6  # below this probability of detection a component takes no part
+_MARGIN = 0.5  # rad beside the view that is looked at more closely
+_SIGMAS = 6.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def in_view(setup, rules, profile, beams, pose, root, noise, block, count, active, looks):
+    """Which components of a map may be sighted: indices (C,) and how they look (C, LOOK). Returns C."""
+    scratch = np.empty((4, 12))
+    seen = 0
+    mount = math.hypot(setup[MOUNT_X], setup[MOUNT_Y])
+    for c in range(count):
+        component = block[c]
+        size = _SIGMAS * (component[L11] + abs(component[L21]) + component[L22])
+        dx, dy = component[X] - pose[0], component[Y] - pose[1]
+        far = rules[MAX_RANGE] + mount + size + 1.0
+        squared = dx * dx + dy * dy
+        if squared > far * far:
+            continue
+        distance, bearing = sight(setup, pose[0], pose[1], pose[2], component[X], component[Y])
+        if abs(bearing) > rules[HALF_VIEW] + _MARGIN and distance > size:
+            continue
+        look(setup, pose, root, component, noise, scratch, looks[seen])
+        probability = detection(rules, profile, beams, looks[seen])
+        if probability < _UNSEEN:
+            continue
+        looks[seen, DETECTION] = probability
+        active[seen] = c
+        seen += 1
+    return seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_distances(rules, looks, seen, z, innovations, squared):
+    """Innovations (M, C, 2) and squared distances (M, C) of every pair; inf beyond the gate."""
+    for i in range(len(z)):
+        for j in range(seen):
+            row = looks[j]
+            a = (z[i, 0] - row[RANGE]) / row[W11]
+            squared[i, j] = math.inf
+            if a * a > rules[GATE]:
+                continue
+            nu = wrap(z[i, 1] - row[BEARING])
+            b = (nu - row[W21] * a) / row[W22]
+            distance = a * a + b * b
+            if distance <= rules[GATE]:
+                squared[i, j] = distance
+                innovations[i, j, 0], innovations[i, j, 1] = z[i, 0] - row[RANGE], nu
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def corrected(component, row, nu, out):
+    """The component after the sighting with innovation nu (2,); weight, id and count are the caller's."""
+    out[X] = component[X] + row[K11] * nu[0] + row[K12] * nu[1]
+    out[Y] = component[Y] + row[K21] * nu[0] + row[K22] * nu[1]
+    out[L11], out[L21], out[L22] = row[U11], row[U21], row[U22]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def likelihood(row, squared):
+    """Density of a sighting at that squared distance."""
+    return math.exp(-0.5 * squared - row[NORM])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def births(setup, rules, pose, root, z, noise, explained, number, rows, count):
+    """Append a component for every sighting that the map does not explain; returns how many there are then."""
+    scratch = np.empty((2, 12))
+    for i in range(len(z)):
+        weight = rules[BIRTH] * (1.0 - explained[i])
+        if weight < rules[PRUNE] or count == len(rows):
+            continue
+        found(setup, pose, root, z[i], noise, scratch, rows[count])
+        rows[count, WEIGHT], rows[count, SEEN] = weight, 1.0
+        rows[count, ID] = number * FRAME_IDS + min(i, FRAME_IDS - 1)
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_back(block, count, active, seen, rows, new):
+    """Put `new` rows in the place of the active components; holes are filled from the end. Returns the new count.
+
+    What does not fit into the block is left out: its capacity is the cap.
+    """
+    for k in range(min(new, seen)):
+        block[active[k]] = rows[k]
+    for k in range(seen, new):
+        if count == len(block):
+            break
+        block[count] = rows[k]
+        count += 1
+    for k in range(seen - 1, new - 1, -1):  # active is ascending: fill the last hole first
+        count -= 1
+        block[active[k]] = block[count]
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_ring(rules, distance, weight, hits, seen, found_):
+    """Add to the tallies of a ring: features that could be seen (RINGS,), and those that were (RINGS,)."""
+    ring = min(int(distance / rules[MAX_RANGE] * rules[RINGS]), int(rules[RINGS]) - 1)
+    seen[ring] += weight
+    found_[ring] += hits

@@ -1,0 +1,213 @@
+"""A proposal that has seen the frame: where a particle's pose is likely, given its map and the sightings.
+
+The pose is x(e) = x compose exp(R e), e ~ N(0, I), R the root of the motion since the last frame. The mode of
+p(e) prod_z (c(z) + sum_j P_D w_j N(z; h(x(e), m_j), S_j)), the likelihood of a Poisson map, is found by expectation
+maximisation: every pair's probability at the present e, then one Gauss-Newton step with these as weights. The first
+pairs are judged with the uncertainty of the pose in their covariance, later ones with what is left of it, so that no
+association is decided. The Gaussian at the mode is sampled; the weight is p(e) / q(e) times the set likelihood.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from kalmap.kernels.frame import in_view
+from kalmap.kernels.looks import noise_root, sight_jacobian
+from kalmap.kernels.regression import left_jacobian, wrap
+from kalmap.kernels.set_layout import (
+    CLUTTER,
+    DETECTION,
+    GATE,
+    L11,
+    L21,
+    L22,
+    LOOK,
+    WEIGHT,
+    X,
+    Y,
+)
+
+_ROUNDS = 8
+_SETTLED = 1e-3
+_LEAST_WEIGHT = 1e-3  # lighter components say too little about the pose
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def moved(pose, root, e, out):
+    """out = pose compose exp(root e)."""
+    xi0 = root[0, 0] * e[0]
+    xi1 = root[1, 0] * e[0] + root[1, 1] * e[1]
+    xi2 = root[2, 0] * e[0] + root[2, 1] * e[1] + root[2, 2] * e[2]
+    s, c = left_jacobian(xi2)
+    dx, dy = s * xi0 - c * xi1, c * xi0 + s * xi1
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    out[0] = pose[0] + cosine * dx - sine * dy
+    out[1] = pose[1] + sine * dx + cosine * dy
+    out[2] = wrap(pose[2] + xi2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def world_root(heading, root, out):
+    """The root of a body-frame motion in the world's axes (x, y, heading), lower triangular again."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    turned = np.empty((3, 3))
+    for k in range(3):
+        turned[0, k] = cosine * root[0, k] - sine * root[1, k]
+        turned[1, k] = sine * root[0, k] + cosine * root[1, k]
+        turned[2, k] = root[2, k]
+    out[:, :] = 0.0
+    for r in range(3):  # Gram-Schmidt over the rows
+        for c in range(r):
+            total = 0.0
+            for k in range(3):
+                total += turned[r, k] * turned[c, k]
+            out[r, c] = total if out[c, c] > 0.0 else 0.0
+            for k in range(3):
+                turned[r, k] -= out[r, c] * turned[c, k]
+        size = math.sqrt(turned[r, 0] ** 2 + turned[r, 1] ** 2 + turned[r, 2] ** 2)
+        out[r, r] = size
+        for k in range(3):
+            turned[r, k] = turned[r, k] / size if size > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def invert_3(a, out):
+    """Inverse of a symmetric positive definite 3 x 3 matrix, and ln of its determinant."""
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
+    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
+    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+    determinant = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    out[0, 0], out[0, 1], out[0, 2] = c00, c01, c02
+    out[1, 0], out[1, 1] = c01, a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]
+    out[1, 2] = a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
+    out[2, 0], out[2, 1], out[2, 2] = c02, out[1, 2], a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    out /= determinant
+    return math.log(determinant)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, spread, information, pull):
+    """Add every pair's information (3, 3) and pull (3,) on e at this pose; spread (3, 3): what e still varies by."""
+    matrix, by_e = np.empty((2, 5)), np.empty((seen, 2, 3))
+    expected, own = np.empty((seen, 2)), np.empty((seen, 3))  # own: covariance without the pose's part
+    wide, scale = np.empty((seen, 3)), np.empty(seen)
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    for j in range(seen):
+        component = block[active[j]]
+        distance, bearing = sight_jacobian(
+            setup, pose[0], pose[1], pose[2], component[X], component[Y], matrix
+        )
+        expected[j, 0], expected[j, 1] = distance, bearing
+        s_r, cross, s_b = noise_root(setup, noise, distance)
+        for r in range(2):
+            ahead = cosine * matrix[r, 0] + sine * matrix[r, 1]
+            left = cosine * matrix[r, 1] - sine * matrix[r, 0]
+            for k in range(3):
+                by_e[j, r, k] = ahead * root[0, k] + left * root[1, k] + matrix[r, 2] * root[2, k]
+        a0 = matrix[0, 3] * component[L11] + matrix[0, 4] * component[L21]
+        a1 = matrix[1, 3] * component[L11] + matrix[1, 4] * component[L21]
+        b0, b1 = matrix[0, 4] * component[L22], matrix[1, 4] * component[L22]
+        own[j, 0] = a0 * a0 + b0 * b0 + s_r * s_r
+        own[j, 1] = a0 * a1 + b0 * b1 + s_r * cross
+        own[j, 2] = a1 * a1 + b1 * b1 + cross * cross + s_b * s_b
+        for r in range(2):
+            for c in range(r + 1):
+                total = 0.0
+                for k in range(3):
+                    for m in range(3):
+                        total += by_e[j, r, k] * spread[k, m] * by_e[j, c, m]
+                wide[j, r + c] = own[j, r + c] + total
+        determinant = wide[j, 0] * wide[j, 2] - wide[j, 1] * wide[j, 1]
+        scale[j] = looks[j, DETECTION] * component[WEIGHT] / (2.0 * math.pi * math.sqrt(determinant))
+    share = np.empty(seen)
+    for i in range(len(z)):
+        whole = rules[CLUTTER]
+        for j in range(seen):
+            share[j] = 0.0
+            nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
+            if nu0 * nu0 > rules[GATE] * wide[j, 0]:
+                continue
+            determinant = wide[j, 0] * wide[j, 2] - wide[j, 1] * wide[j, 1]
+            squared = (
+                wide[j, 2] * nu0 * nu0 - 2.0 * wide[j, 1] * nu0 * nu1 + wide[j, 0] * nu1 * nu1
+            ) / determinant
+            if squared < rules[GATE]:
+                share[j] = scale[j] * math.exp(-0.5 * squared)
+                whole += share[j]
+        for j in range(seen):
+            if share[j] < 1e-6 * whole:
+                continue
+            weight = share[j] / whole
+            determinant = own[j, 0] * own[j, 2] - own[j, 1] * own[j, 1]
+            i00, i01, i11 = own[j, 2] / determinant, -own[j, 1] / determinant, own[j, 0] / determinant
+            nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
+            for k in range(3):
+                g0 = by_e[j, 0, k] * i00 + by_e[j, 1, k] * i01
+                g1 = by_e[j, 0, k] * i01 + by_e[j, 1, k] * i11
+                pull[k] += weight * (g0 * nu0 + g1 * nu1)
+                for m in range(3):
+                    information[k, m] += weight * (g0 * by_e[j, 0, m] + g1 * by_e[j, 1, m])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def propose(setup, rules, profile, beams, pose, root, noise, block, count, z, normal, spread_by, out, left):
+    """Sample a pose into `out` (3,); returns ln p(e) / q(e).
+
+    pose (3,): where odometry puts the particle; root (3, 3) as above, lower. normal (3,): standard normal draws,
+    multiplied with `spread_by` (1: a sample, 0: the mode). left (3, 3): on return the root of what the sightings
+    leave of the pose's covariance, in the world's axes.
+    """
+    wide_root = np.empty((3, 3))
+    world_root(pose[2], root, wide_root)
+    active, looks = np.empty(count, np.int64), np.empty((count + 1, LOOK))
+    seen = in_view(setup, rules, profile, beams, pose, wide_root, noise, block, count, active, looks)
+    heavy = 0
+    for j in range(seen):
+        if block[active[j], WEIGHT] >= _LEAST_WEIGHT:
+            active[heavy] = active[j]
+            looks[heavy] = looks[j]
+            heavy += 1
+    e, here = np.zeros(3), pose.copy()
+    information, pull, spread, step = np.eye(3), np.zeros(3), np.eye(3), np.zeros(3)
+    log_determinant = 0.0
+    if heavy and len(z):
+        for _ in range(_ROUNDS):
+            information[:, :] = 0.0
+            for k in range(3):
+                information[k, k], pull[k] = 1.0, -e[k]
+            _accumulate(
+                setup, rules, here, root, noise, block, active, looks, heavy, z, spread, information, pull
+            )
+            log_determinant = invert_3(information, spread)
+            size = 0.0
+            for k in range(3):
+                step[k] = spread[k, 0] * pull[0] + spread[k, 1] * pull[1] + spread[k, 2] * pull[2]
+                size += step[k] * step[k]
+            e += step
+            moved(pose, root, e, here)
+            if size < _SETTLED * _SETTLED:
+                break
+    return _sample(pose, root, e, spread, log_determinant, normal, spread_by, out, left)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample(pose, root, e, spread, log_determinant, normal, spread_by, out, left):
+    """Draw from N(e, spread) and say what it weighs."""
+    factor = np.linalg.cholesky(spread)
+    drawn = np.empty(3)
+    prior, own = 0.0, 0.0
+    for k in range(3):
+        drawn[k] = e[k]
+        for m in range(k + 1):
+            drawn[k] += spread_by * factor[k, m] * normal[m]
+        prior += drawn[k] * drawn[k]
+        own += normal[k] * normal[k]
+    moved(pose, root, drawn, out)
+    product = np.zeros((3, 3))
+    for r in range(3):
+        for c in range(3):
+            for k in range(c, r + 1):
+                product[r, c] += root[r, k] * factor[k, c]
+    world_root(out[2], product, left)
+    return -0.5 * prior + 0.5 * spread_by * own - 0.5 * log_determinant

@@ -1,0 +1,89 @@
+"""Particles with their maps: one block for all, shared by particles of one origin until one of them changes its map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kalmap.kernels.set_layout import COLUMNS
+
+_FIRST_ROOM = 64
+
+
+class Particles:
+    """N weighted poses, each with a map of up to `cap` components.
+
+    poses (N, 3); log_weights (N,), normalised; slots (N,): where each one's map stands in `blocks` (S, room,
+    COLUMNS), of which the first counts (S,) rows mean something. biases (N, nb): means of the constant errors.
+    """
+
+    __slots__ = ("biases", "blocks", "cap", "counts", "log_weights", "poses", "slots")
+
+    def __init__(self, poses: np.ndarray, biases: np.ndarray, cap: int) -> None:
+        number = len(poses)
+        self.poses, self.biases, self.cap = poses, biases, cap
+        self.log_weights = np.full(number, -np.log(number))
+        self.slots = np.arange(number)
+        self.blocks = np.zeros((number, min(_FIRST_ROOM, cap), COLUMNS))
+        self.counts = np.zeros(number, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def map_of(self, particle: int) -> np.ndarray:
+        """(C, COLUMNS) of one particle: a view."""
+        slot = self.slots[particle]
+        return self.blocks[slot, : self.counts[slot]]
+
+    def own(self, births: int) -> None:
+        """Give every particle a map of its own, with room for so many births."""
+        room = min(int(self.counts.max()) + births, self.cap)
+        if room > self.blocks.shape[1]:
+            grown = np.zeros((len(self.blocks), min(max(room, 2 * self.blocks.shape[1]), self.cap), COLUMNS))
+            grown[:, : self.blocks.shape[1]] = self.blocks
+            self.blocks = grown
+        used = np.zeros(len(self.blocks), dtype=bool)
+        free = np.setdiff1d(np.arange(len(self.blocks)), self.slots).tolist()
+        if not free:
+            return
+        for particle, slot in enumerate(self.slots):
+            if not used[slot]:
+                used[slot] = True
+                continue
+            mine = free.pop()
+            count = self.counts[slot]
+            self.blocks[mine, :count], self.counts[mine] = self.blocks[slot, :count], count
+            self.slots[particle] = mine
+
+    def weigh(self, log_factors: np.ndarray) -> bool:
+        """Multiply the weights and normalise; False, with the weights made equal, if none is left."""
+        whole = self.log_weights + log_factors
+        most = whole.max(initial=-np.inf)
+        if not np.isfinite(most):
+            self.log_weights = np.full(len(self), -np.log(len(self)))
+            return False
+        whole = np.where(np.isnan(whole), -np.inf, whole) - most
+        self.log_weights = whole - np.log(np.exp(whole).sum())
+        return True
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(N,), summing to one."""
+        weights = np.exp(self.log_weights)
+        return np.asarray(weights / weights.sum())
+
+    @property
+    def effective(self) -> float:
+        """Effective sample size 1 / sum of squared weights."""
+        return float(1.0 / np.square(self.weights).sum())
+
+    def resample(self, uniform: float) -> np.ndarray:
+        """Systematic resampling with one draw from [0, 1); returns the parents (N,). Maps are shared, not copied."""
+        number = len(self)
+        points = (uniform + np.arange(number)) / number
+        edges = np.cumsum(self.weights)
+        edges[-1] = 1.0
+        parents = np.searchsorted(edges, points, side="right")
+        self.poses, self.biases = self.poses[parents], self.biases[parents]
+        self.slots = self.slots[parents]
+        self.log_weights = np.full(number, -np.log(number))
+        return parents
