@@ -69,6 +69,7 @@ def _changed(world: World, overrides: dict[str, Any]) -> World:
     if drawn:
         world = _redrawn(world, **drawn)
     known = {field for field in world.__struct_fields__ if isinstance(getattr(world, field), (int, float))}
+    known.add("detection_far")  # None until it is set
     for key, value in overrides.items():
         if key not in known:
             raise ConfigError(f"world.{key}: no such setting; there are {', '.join(sorted(known | _DRAWN))}")

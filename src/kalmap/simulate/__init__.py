@@ -23,6 +23,14 @@ from kalmap.simulate.drive import Drive, drive
 from kalmap.simulate.movers import mover_tracks
 from kalmap.simulate.raycast import SICK, URG, Scanner, cast, cast_hits, noisy
 from kalmap.simulate.run import simulate
+from kalmap.simulate.set_worlds import (
+    cluttered_world,
+    faded_world,
+    field_world,
+    phd_world,
+    restless_world,
+    rfs_world,
+)
 from kalmap.simulate.world import World
 
 __all__ = [
@@ -37,17 +45,23 @@ __all__ = [
     "cast_hits",
     "clusters_world",
     "clutter_world",
+    "cluttered_world",
     "course_world",
     "djnn_world",
     "doubles_world",
     "drive",
+    "faded_world",
+    "field_world",
     "grove_world",
     "lawn_world",
     "missed_world",
     "mover_tracks",
     "noisy",
     "orchard_world",
+    "phd_world",
     "random_landmarks",
+    "restless_world",
+    "rfs_world",
     "same_world",
     "simulate",
     "wide_world",

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from kalmap.records import ConfigError
 from kalmap.simulate.courses import (
     along_course,
+    apart,
     course_waypoints,
     course_world,
     make_world,
     map_stream,
     random_landmarks,
+    rounded,
 )
 from kalmap.simulate.drive import drive
 from kalmap.simulate.world import World
@@ -52,12 +53,12 @@ def djnn_world(movers: int, *, name: str | None = None, **overrides: Any) -> Wor
     to the middle, so that the sensor passes every feature and meets the first ones again at the end.
     overrides: fields of `World`.
     """
-    waypoints = _rounded(np.array(_SQUARE_CORNERS, dtype=float), _SQUARE_ROUND)
+    waypoints = rounded(np.array(_SQUARE_CORNERS, dtype=float), _SQUARE_ROUND)
     waypoints = np.concatenate([waypoints, [[0.0, 0.0]]])
     way = drive(World(name="way", landmarks=np.zeros((0, 2)), waypoints=waypoints, laps=1)).poses[::8, :2]
     drawn = random_landmarks(20 * PAPER_FEATURES, _SQUARE, map_stream(5, PAPER_FEATURES))
     gaps = np.hypot(*(drawn[:, None] - way[None]).transpose(2, 0, 1)).min(axis=1)
-    landmarks = _apart(drawn[gaps > _SQUARE_CLEAR], _SQUARE_APART, PAPER_FEATURES)
+    landmarks = apart(drawn[gaps > _SQUARE_CLEAR], _SQUARE_APART, PAPER_FEATURES)
     fields = {"laps": 1, "movers": movers, **overrides}
     return make_world(name or f"djnn-{movers}", landmarks, waypoints, fields)
 
@@ -134,7 +135,7 @@ def grove_world(*, name: str = "grove", **overrides: Any) -> World:
     part, and a pedestrian is as round as a tree.
     """
     rng = map_stream(7, _TRUNKS)
-    landmarks = _apart(along_course(2 * _TRUNKS), _TRUNKS_APART, _TRUNKS)
+    landmarks = apart(along_course(2 * _TRUNKS), _TRUNKS_APART, _TRUNKS)
     fields = {
         "scanner": "sick",
         "radii": np.round(rng.uniform(0.08, 0.5, _TRUNKS), 3),
@@ -161,17 +162,6 @@ def _orchard_way(first: float, last: float) -> np.ndarray:
     return np.array(points)
 
 
-def _apart(points: np.ndarray, distance: float, count: int) -> np.ndarray:
-    """The first `count` of (M, 2) points that are at least `distance` m from every one taken before."""
-    taken = np.zeros((0, 2))
-    for point in points:
-        if len(taken) < count and (np.hypot(*(taken - point).T) >= distance).all():
-            taken = np.append(taken, point[None], axis=0)
-    if len(taken) < count:
-        raise ConfigError(f"there is no room for {count} features {distance:g} m apart")
-    return taken
-
-
 def _group(centre: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 2) m: features from `centre` on, each 0.3 to 0.6 m from the nearest one."""
     members = np.array([centre])
@@ -182,13 +172,3 @@ def _group(centre: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarr
         if np.hypot(*(members - member).T).min() >= _GROUP_LEAST:
             members = np.append(members, member[None], axis=0)
     return members
-
-
-def _rounded(corners: np.ndarray, radius: float) -> np.ndarray:
-    """Three way-points (3 K, 2) on the arc that rounds each right-angled corner (K, 2) of a closed way."""
-    before = np.roll(corners, 1, axis=0) - corners
-    after = np.roll(corners, -1, axis=0) - corners
-    before, after = (side / np.hypot(*side.T)[:, None] for side in (before, after))
-    cut = 1.0 - np.sqrt(0.5)  # of the radius, along both sides: the middle of the arc
-    arcs = [corners + radius * before, corners + radius * cut * (before + after), corners + radius * after]
-    return np.stack(arcs, axis=1).reshape(-1, 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,15 @@ from kalmap.simulate.courses import (
     same_world,
     wide_world,
 )
+from kalmap.simulate.set_worlds import (
+    RFS_CLUTTER_AREA,
+    cluttered_world,
+    faded_world,
+    field_world,
+    phd_world,
+    restless_world,
+    rfs_world,
+)
 from kalmap.simulate.world import World
 
 Maps = Callable[[str], tuple[np.ndarray, np.ndarray]]
@@ -36,24 +46,46 @@ BAILEY_MAP = "example_webmap"
 _MOST_LANDMARKS = 1_000_000
 _KINDS = {"course": course_world, "same": same_world, "wide": wide_world, "lawn": lawn_world}
 # here <N> is no number of features, and what is too much the world itself says
-_DISTURBED: dict[str, Callable[[int], World]] = {"djnn": djnn_world, "clutter": clutter_world}
-_SINGLE = {
+_DISTURBED: dict[str, Callable[[int], World]] = {
+    "djnn": djnn_world,
+    "clutter": clutter_world,
+    "phd": phd_world,
+}
+# P_D, and clutter per m and rad, as RFS-SLAM's scripts set them
+_RFS_GRID = {
+    "rfs-99-0": (0.99, 0.0001),
+    "rfs-90-1": (0.9, 0.1),
+    "rfs-70-6": (0.7, 0.46),
+    "rfs-50-13": (0.5, 1.0),
+}
+_SINGLE: dict[str, Callable[[], World]] = {
     "missed-35": missed_world,
+    "missed-50": partial(missed_world, name="missed-50", detection_probability=0.5),
     "doubles-35": doubles_world,
     "orchard": orchard_world,
     "clusters": clusters_world,
     "breaker": breaker_world,
     "grove": grove_world,
+    "field-160": field_world,
+    **{
+        name: partial(rfs_world, detection, RFS_CLUTTER_AREA * intensity, name=name)
+        for name, (detection, intensity) in _RFS_GRID.items()
+    },
+    "clutter-20-70": cluttered_world,
+    "faded-35": faded_world,
+    "restless-35": restless_world,
 }
 
 
 def world_names() -> list[str]:
     """The names that `world_by_name` knows, the default first.
 
-    `<N>` stands for a number: of features, of movers in `djnn-<N>`, of false sightings a frame in `clutter-<N>`.
+    `<N>` stands for a number: of features, of movers in `djnn-<N>`, of false sightings a frame in `clutter-<N>` and
+    `phd-<N>`.
     """
     plain = ["course-35", "course-70", "bailey-35", "bailey-70", *(f"{kind}-<N>" for kind in _KINDS)]
-    return [*plain, "djnn-10", "djnn-50", "clutter-5", *(f"{kind}-<N>" for kind in _DISTURBED), *_SINGLE]
+    some = ["djnn-10", "djnn-50", "clutter-5", "phd-1", "phd-2", "phd-3"]
+    return [*plain, *some, *(f"{kind}-<N>" for kind in _DISTURBED), *_SINGLE]
 
 
 def world_by_name(name: str, maps: Maps | None = None) -> World:
@@ -66,7 +98,14 @@ def world_by_name(name: str, maps: Maps | None = None) -> World:
 
     The others are made to break data association, each in its own way, which its function in `breakers` tells:
     `djnn-<N>` (`djnn_world`: 252 features, N objects that move), `clutter-<N>` (N false sightings a frame),
-    `missed-35`, `doubles-35`, `orchard`, `clusters`, `breaker`, and `grove`, whose log holds laser scans.
+    `missed-35`, `doubles-35`, `orchard`, `clusters`, `breaker`, and `grove`, whose log holds laser scans; `missed-50`
+    is `missed-35` with half of all sightings missed.
+
+    For filters of random finite sets, told in `set_worlds`: the published `phd-<N>` (`phd_world`: 39 features,
+    N false sightings a look, 726 looks), `field-160` (`field_world`: a square of 1 km, 4,000 looks), and `rfs-99-0`,
+    `rfs-90-1`, `rfs-70-6`, `rfs-50-13` (`rfs_world`: P_D in percent, false sightings a look, rounded; 3,000 looks);
+    and on the package's course `clutter-20-70` (twenty false sightings, P_D 0.7), `faded-35` (P_D falls with the
+    range) and `restless-35` (5 of 35 features move).
 
     maps: given a map's name ("example_webmap") returns its landmarks (N, 2) and way-points (K, 2);
         needed for the Bailey worlds only, whose map is not part of this package.

@@ -144,6 +144,27 @@ def course_waypoints() -> np.ndarray:
     return np.roll(curve[::64], -1, axis=0)
 
 
+def apart(points: np.ndarray, distance: float, count: int) -> np.ndarray:
+    """The first `count` of (M, 2) points that are at least `distance` m from every one taken before."""
+    taken = np.zeros((0, 2))
+    for point in points:
+        if len(taken) < count and (np.hypot(*(taken - point).T) >= distance).all():
+            taken = np.append(taken, point[None], axis=0)
+    if len(taken) < count:
+        raise ConfigError(f"there is no room for {count} features {distance:g} m apart")
+    return taken
+
+
+def rounded(corners: np.ndarray, radius: float) -> np.ndarray:
+    """Three way-points (3 K, 2) on the arc that rounds each right-angled corner (K, 2) of a closed way."""
+    before = np.roll(corners, 1, axis=0) - corners
+    after = np.roll(corners, -1, axis=0) - corners
+    before, after = (side / np.hypot(*side.T)[:, None] for side in (before, after))
+    cut = 1.0 - np.sqrt(0.5)  # of the radius, along both sides: the middle of the arc
+    arcs = [corners + radius * before, corners + radius * cut * (before + after), corners + radius * after]
+    return np.stack(arcs, axis=1).reshape(-1, 2)
+
+
 def _around(waypoints: np.ndarray) -> Area:
     """The box around a course with 20 m to spare on every side."""
     (x_least, y_least), (x_most, y_most) = waypoints.min(axis=0) - 20.0, waypoints.max(axis=0) + 20.0

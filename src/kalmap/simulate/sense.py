@@ -13,13 +13,17 @@ _PAIRS = 500_000
 
 
 def visible(
-    poses: np.ndarray, landmarks: np.ndarray, max_range: float, field_of_view_deg: float
+    poses: np.ndarray,
+    landmarks: np.ndarray,
+    max_range: float,
+    field_of_view_deg: float,
+    min_range: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which features are in view from which pose, and the exact range and bearing to them.
 
     poses (F, 3), landmarks (N, 2), or (F, N, 2) where they move from pose to pose; a feature is in view if
-    its range is below `max_range` (m) and its bearing strictly inside the field of view (at 180 degrees: the
-    open half plane ahead; at 360: all).
+    its range is `min_range` or more and below `max_range` (m) and its bearing strictly inside the field of
+    view (at 180 degrees: the open half plane ahead; at 360: all).
     Returns frame (M,) int64, feature (M,) int64, and range m and bearing rad (M, 2), ordered by frame and
     then by feature.
     """
@@ -31,7 +35,8 @@ def visible(
         there = landmarks[first : first + rows] if moving else landmarks[None]
         dx = there[:, :, 0] - part[:, 0, None]
         dy = there[:, :, 1] - part[:, 1, None]
-        frame, feature = np.nonzero(dx * dx + dy * dy < max_range**2)
+        squared = dx * dx + dy * dy
+        frame, feature = np.nonzero((squared >= min_range**2) & (squared < max_range**2))
         dx, dy = dx[frame, feature], dy[frame, feature]
         bearing = wrap(np.arctan2(dy, dx) - part[frame, 2])
         ahead = _in_view(dx, dy, bearing, part[frame, 2], field_of_view_deg)

@@ -49,10 +49,10 @@ def _features(world: World, looks: np.ndarray, drawn: Streams) -> list[_Part]:
     Numbers are drawn for the missed ones too: who is missed changes nothing about the others.
     """
     landmarks = np.asarray(world.landmarks, dtype=float)
-    frame, feature, exact = visible(looks, landmarks, world.max_range, world.field_of_view_deg)
+    frame, feature, exact = _in_view(world, looks, landmarks)
     feature = feature.astype(np.int64)
     first = _noisy(world, exact, drawn["sightings"])
-    seen = drawn["detections"].random(len(frame)) < world.detection_probability
+    seen = drawn["detections"].random(len(frame)) < _chances(world, exact[:, 0])
     parts = [(frame[seen], feature[seen], first[seen])]
     if world.doubles:
         twice = seen & (drawn["doubles"].random(len(frame)) < world.doubles)
@@ -62,18 +62,29 @@ def _features(world: World, looks: np.ndarray, drawn: Streams) -> list[_Part]:
 
 
 def _movers(world: World, looks: np.ndarray, tracks: np.ndarray, drawn: Streams) -> _Part:
-    frame, _, exact = visible(looks, tracks, world.max_range, world.field_of_view_deg)
+    frame, _, exact = _in_view(world, looks, tracks)
     values = _noisy(world, exact, drawn["mover-sightings"])
-    seen = drawn["mover-detections"].random(len(frame)) < world.detection_probability
+    seen = drawn["mover-detections"].random(len(frame)) < _chances(world, exact[:, 0])
     return frame[seen], np.full(int(seen.sum()), NO_LANDMARK), values[seen]
 
 
 def _clutter(world: World, frames: int, rng: np.random.Generator) -> _Part:
     frame = np.repeat(np.arange(frames), rng.poisson(world.clutter, frames))
     shares = rng.random((len(frame), 2))
-    ranges = world.max_range * (1.0 - shares[:, 0])  # in (0, max_range]: nothing stands in the sensor itself
+    depth = world.max_range - world.min_range
+    ranges = world.min_range + depth * (1.0 - shares[:, 0])  # never 0: nothing stands in the sensor itself
     bearings = np.radians(world.field_of_view_deg) * (shares[:, 1] - 0.5)
     return frame, np.full(len(frame), NO_LANDMARK), np.column_stack([ranges, bearings])
+
+
+def _in_view(world: World, looks: np.ndarray, points: np.ndarray) -> _Part:
+    return visible(looks, points, world.max_range, world.field_of_view_deg, world.min_range)
+
+
+def _chances(world: World, ranges: np.ndarray) -> np.ndarray | float:
+    """The probability that what stands at these ranges (M,) m is sighted; one number if it is the same everywhere."""
+    near, far = world.detection_probability, world.detection_far
+    return near if far is None else near + (far - near) * ranges / world.max_range
 
 
 def _noisy(world: World, exact: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -32,9 +32,9 @@ _POSITIVE = (
     "mover_speed",
     "mover_radius",
 )
-_NOT_NEGATIVE = ("sigma_speed", "sigma_steering_deg", "clutter", "sigma_beam")
+_NOT_NEGATIVE = ("sigma_speed", "sigma_steering_deg", "min_range", "clutter", "sigma_beam")
 _COUNTS = ("observe_every", "laps")
-_PROBABILITIES = ("detection_probability", "doubles")
+_PROBABILITIES = ("detection_probability", "detection_far", "doubles")
 # far beyond what any frame holds, and what still fits into memory
 _MOST = {"movers": 10_000, "clutter": 1_000}
 
@@ -55,7 +55,8 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     speed: m/s. max_steering_deg, steering_rate_deg: deg, deg/s. wheelbase: m. dt: s a control step.
     observe_every: control steps from one look of the sensor to the next.
     at_waypoint: m, nearer than this a way-point counts as reached.
-    max_range: m. field_of_view_deg: the full angle, centred ahead; 180 is the half plane ahead.
+    min_range, max_range: m, what is nearer or farther is not seen. field_of_view_deg: the full angle, centred
+        ahead; 180 is the half plane ahead.
     sigma_speed m/s, sigma_steering_deg, sigma_range m, sigma_bearing_deg: standard deviations of the
         noise of one control sample and one sighting.
 
@@ -66,6 +67,8 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         mover_speed: m/s. mover_radius: m, for scanners.
     clutter: mean number of false sightings in a frame, a Poisson number, uniform in range and bearing.
     detection_probability: that what is in view is sighted; of every feature and mover in every frame by itself.
+    detection_far: None, or that probability at `max_range`; it then changes with the range, straight from
+        detection_probability at the sensor itself.
     doubles: probability that a sighted feature gives a second sighting in the frame, with its own noise.
 
     Whole scans instead of sightings:
@@ -76,7 +79,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         detector finds it.
 
     Raises `ConfigError` for wrong shapes, for values that no vehicle or sensor can have, and for a scanner with
-    clutter, doubles or a detection probability, which are for sightings only.
+    clutter, doubles, a detection probability or a min_range, which are for sightings only.
     """
 
     name: str
@@ -90,6 +93,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     observe_every: int = 8
     at_waypoint: float = 1.0
     laps: int = 2
+    min_range: float = 0.0
     max_range: float = 30.0
     field_of_view_deg: float = 180.0
     sigma_speed: float = 0.3
@@ -101,6 +105,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mover_radius: float = 0.25
     clutter: float = 0.0
     detection_probability: float = 1.0
+    detection_far: float | None = None
     doubles: float = 0.0
     scanner: str | None = None
     radii: np.ndarray | None = None
@@ -164,9 +169,14 @@ def _number_problem(world: World) -> str | None:
             return f"{field} must be 1 or more"
     if world.max_steering_deg >= 90 or world.field_of_view_deg > 360:
         return "max_steering_deg must be below 90 and field_of_view_deg at most 360"
+    if world.min_range >= world.max_range:
+        return f"min_range must be below max_range ({world.max_range:g} m), got {world.min_range:g}"
     for field in _PROBABILITIES:
-        if not 0 <= getattr(world, field) <= 1:
-            return f"{field} must be a probability, 0 to 1, got {getattr(world, field)}"
+        value = getattr(world, field)
+        if field == "detection_far" and value is None:
+            continue
+        if not 0 <= value <= 1:
+            return f"{field} must be a probability, 0 to 1, got {value}"
     if not isinstance(world.movers, int) or world.movers < 0:
         return f"movers must be a whole number, 0 or more, got {world.movers}"
     for field, most in _MOST.items():
@@ -188,6 +198,7 @@ def _scanner_problem(world: World) -> str | None:
     width = math.degrees(2.0 * np.abs(scanner.bearings).max())
     if world.field_of_view_deg > width + 1e-6:
         return f"field_of_view_deg must be at most the scanner's {width:.4g}, got {world.field_of_view_deg:g}"
-    if world.clutter or world.doubles or world.detection_probability < 1:
-        return "clutter, doubles and detection_probability are for sightings: a scanner has none of them"
+    missed = world.detection_probability < 1 or world.detection_far is not None
+    if world.clutter or world.doubles or missed or world.min_range:
+        return "clutter, doubles, detection and min_range are for sightings: a scanner has none of them"
     return None
