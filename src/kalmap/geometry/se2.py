@@ -57,3 +57,13 @@ def log_position(angle: np.ndarray, p: np.ndarray) -> np.ndarray:
 def quarter_turn(v: np.ndarray) -> np.ndarray:
     """J v with J = [[0, -1], [1, 0]]."""
     return np.stack([-v[..., 1], v[..., 0]], axis=-1)
+
+
+def exponential(twist: np.ndarray) -> np.ndarray:
+    """exp of a twist (..., 3): the increment that it leads to."""
+    return np.concatenate([exp_position(twist[..., 2], twist[..., :2]), twist[..., 2:]], axis=-1)
+
+
+def logarithm(step: np.ndarray) -> np.ndarray:
+    """The twist (..., 3) that leads to an increment."""
+    return np.concatenate([log_position(step[..., 2], step[..., :2]), step[..., 2:]], axis=-1)

@@ -26,6 +26,9 @@ AssociationName = Literal["known", "nearest", "likelihood", "jcbb", "mda", "djnn
 DetectorName = Literal["reflectors", "trees"]
 ManagementName = Literal["keep", "trial", "counter", "existence"]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+SetMethod = Literal["rb-phd", "srckf-phd", "mh-fastslam", "pmb"]
+Proposal = Literal["motion", "sightings"]
+Weighting = Literal["empty", "single-feature", "single-cluster", "multi-feature"]
 
 
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -192,6 +195,45 @@ class PerceptionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     clearance: NonNegative | None = None
 
 
+class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """SLAM by random finite sets: particles, each with a map that needs no association. It takes no ids of a log.
+
+    method: None leaves the run to `filter` and `association`. "rb-phd": probability hypothesis density, EKF components
+        (Mullane, Vo & Adams 2011). "srckf-phd": the same by square-root cubature filters (Yan et al. 2015).
+        "mh-fastslam": landmarks by most likely association, `branches` hypotheses a particle. "pmb": Poisson
+        multi-Bernoulli, landmarks with identity and probability of existence.
+    particles: how many. threads: None for one a processor; the answer does not depend on it.
+    proposal: "sightings" draws a pose that the frame makes likely, "motion" from odometry alone (as published).
+    weighting: what of the map weighs a particle ("rb-phd", "srckf-phd"); None: what the method has by itself.
+    detection: probability that a landmark well in view is sighted. clutter: expected false sightings a frame, uniform
+        in range and bearing. new_rate: expected first sightings a frame. estimate: the first two are where to start,
+        the filter learns them as it goes, detection in rings of range.
+    gate: probability inside which a pair counts. prune: weight below which a component is dropped. merge: squared
+        Mahalanobis distance within which two are one. cap: most components of a particle's map.
+    feature: weight or existence from which a component is a landmark of the result.
+    resample: share of the particles below which the effective sample size brings resampling.
+    occlusion: m, how far behind a beam's end a landmark counts as hidden, where a log has scans.
+    """
+
+    method: SetMethod | None = None
+    particles: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 10
+    threads: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    proposal: Proposal = "sightings"
+    weighting: Weighting | None = None
+    detection: Share = 0.9
+    clutter: NonNegative = 1.0
+    new_rate: Positive = 0.2
+    estimate: bool = True
+    gate: Probability = 0.99999
+    prune: Probability = 1e-5
+    merge: Positive = 4.0
+    cap: Annotated[int, msgspec.Meta(ge=16, le=1_000_000)] = 20_000
+    feature: Probability = 0.6
+    resample: Share = 0.5
+    branches: Annotated[int, msgspec.Meta(ge=1, le=64)] = 4
+    occlusion: Positive = 1.0
+
+
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a run depends on, beside the log itself."""
 
@@ -200,5 +242,11 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()
     perception: PerceptionConfig = PerceptionConfig()
+    finite_set: FiniteSetConfig = FiniteSetConfig()
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
     tolerant: bool = False
+
+    @property
+    def by_ids(self) -> bool:
+        """Whether the log's own identities say which sighting belongs to which landmark."""
+        return self.finite_set.method is None and self.association.method == "known"

@@ -28,6 +28,7 @@ from kalmap.models.sensor import sensor_from_config
 from kalmap.perception import Detector, detector_from_config
 from kalmap.records import AssociationConfig, ConfigError, Log, RunConfig
 from kalmap.slam.filters import resolve_filter
+from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 
 ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn")
@@ -79,11 +80,23 @@ def _management(config: AssociationConfig) -> BuiltInManagement:
     return Keep()
 
 
-def slam_from_config(config: RunConfig, log: Log, detector: Detector | None = None) -> LandmarkSlam:
+def slam_from_config(
+    config: RunConfig, log: Log, detector: Detector | None = None
+) -> LandmarkSlam | FiniteSetSlam:
     """The filter for this log. Raises ConfigError where settings contradict each other.
 
     detector: turns scans into sightings; None builds the one that the configuration names.
     """
+    if config.finite_set.method is not None:
+        return FiniteSetSlam(
+            motion_from_config(config.motion),
+            sensor_from_config(config.sensor),
+            config.finite_set,
+            start=log.start,
+            start_covariance=log.start_covariance,
+            seed=config.seed,
+            detector=detector or detector_from_config(config.perception),
+        )
     lineariser, scope = resolve_filter(config.filter)
     return LandmarkSlam(
         motion_from_config(config.motion),

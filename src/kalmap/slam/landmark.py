@@ -89,6 +89,7 @@ class LandmarkSlam(MapState):
         self.frame_association = Association(np.zeros(0, dtype=np.int64))
         self.frame_labels = np.zeros(0, dtype=np.int64)
         self.frame_sightings: Sightings | None = None
+        self.labels = not self.association.uses_ids
         self.explain = False
         self.frame_decision: Frame | None = None
         self.association_seconds = 0.0
@@ -186,6 +187,23 @@ class LandmarkSlam(MapState):
         if before is not None:
             self.frame_decision = self._decision(association, self._labels_of(association.matched), before)
         self._tidy(association)
+
+    def twin(self) -> LandmarkSlam:
+        """A fresh filter with the same settings, at the origin."""
+        return LandmarkSlam(
+            self.motion,
+            self.sensor,
+            self.lineariser,
+            self.association,
+            scope=self.scope,
+            coordinates=self.coordinates,
+            use=self.use,
+        )
+
+    @property
+    def attribute_names(self) -> tuple[str, ...]:
+        """Which attributes of sightings its association reads."""
+        return tuple(each.name for each in getattr(self.association, "attributes", ()))
 
     # --- saving -----------------------------------------------------------------------------------------------
 

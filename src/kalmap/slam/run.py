@@ -24,6 +24,7 @@ from kalmap.records import (
     Trace,
 )
 from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.protocol import Slam
 
 KEPT_SKIPS = 1000  # records listed one by one; the rest is counted
 
@@ -69,7 +70,7 @@ class Recorder:
         self.step_times: list[np.ndarray] = []
         self.reckoned: list[np.ndarray] = []
 
-    def row(self, slam: LandmarkSlam, nis: float, used: int, reckoned: np.ndarray) -> None:
+    def row(self, slam: Slam, nis: float, used: int, reckoned: np.ndarray) -> None:
         """Keep what the filter says now."""
         entry = (slam.pose, slam.pose_covariance, nis, used, slam.landmark_count)
         if self.times and self.times[-1] == slam.time:
@@ -108,7 +109,7 @@ class Recorder:
 
 
 def run(
-    slam: LandmarkSlam,
+    slam: Slam,
     log: Log,
     *,
     tolerant: bool = False,
@@ -124,7 +125,7 @@ def run(
     the run with what there is.
     """
     loop = _Loop(slam, log, tolerant, reckon)
-    slam.explain = explain and not slam.association.uses_ids
+    slam.explain = explain and slam.labels
     error: KalmapError | None = None
     interrupted = False
     shown = 0.0
@@ -142,21 +143,12 @@ def run(
     return loop.outcome(error, interrupted)
 
 
-def warm_up(slam: LandmarkSlam) -> None:
+def warm_up(slam: Slam) -> None:
     """Load the compiled kernels through a throw-away filter like this one, so that no step pays for it."""
-    twin = LandmarkSlam(
-        slam.motion,
-        slam.sensor,
-        slam.lineariser,
-        slam.association,
-        scope=slam.scope,
-        coordinates=slam.coordinates,
-        use=slam.use,
-    )
+    twin = slam.twin()
     motion = np.full((2, slam.motion.control_size), 1e-3)
     values = np.array([[5.0, 0.1], [5.2, 0.1], [8.0, -0.3]])  # two of them compete
-    named = getattr(slam.association, "attributes", ())
-    attributes = {each.name: np.ones(len(values)) for each in named}
+    attributes = {name: np.ones(len(values)) for name in slam.attribute_names}
     for number in range(3):
         twin.step(Odometry(float(number), motion, np.full(2, 0.01)))
         twin.step(
@@ -167,7 +159,7 @@ def warm_up(slam: LandmarkSlam) -> None:
 class _Loop:
     """The state of one run."""
 
-    def __init__(self, slam: LandmarkSlam, log: Log, tolerant: bool, reckon: bool) -> None:
+    def __init__(self, slam: Slam, log: Log, tolerant: bool, reckon: bool) -> None:
         self.slam, self.log, self.tolerant = slam, log, tolerant
         self.recorder = Recorder()
         self.first = slam.frames_taken
@@ -178,7 +170,7 @@ class _Loop:
         self.labels: list[np.ndarray] = []
         self.seen: list[Sightings] = []
         self.decisions: list[Frame] = []
-        self.scored = not slam.association.uses_ids
+        self.scored = slam.labels
         self.reckoner = _reckoner(slam, log) if reckon else None
 
     def skip(self, record: Skipped) -> None:
@@ -272,7 +264,7 @@ class _Loop:
         )
 
 
-def _reckoner(slam: LandmarkSlam, log: Log) -> LandmarkSlam | None:
+def _reckoner(slam: Slam, log: Log) -> LandmarkSlam | None:
     """A filter that only ever predicts: odometry as it is, without biases."""
     if not isinstance(slam.motion, BuiltInMotion):
         return None

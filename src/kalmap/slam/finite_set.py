@@ -1,0 +1,341 @@
+"""SLAM by random finite sets: particles whose maps are mixtures that need no association."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from kalmap.gaussian import Cubature, Jacobian, NotPositiveError
+from kalmap.gaussian.linearisers import BuiltIn
+from kalmap.geometry.se2 import compose, exponential, inverse, logarithm, quarter_turn, rotate
+from kalmap.kernels import particles as kernel
+from kalmap.kernels import set_layout
+from kalmap.kernels.regression import square_root
+from kalmap.models import RangeBearing, VelocitySteering
+from kalmap.models.motion import BuiltInMotion
+from kalmap.perception import Detector
+from kalmap.records import (
+    ConfigError,
+    Estimate,
+    EstimationError,
+    Event,
+    EventError,
+    FiniteSetConfig,
+    Fix,
+    Frame,
+    Odometry,
+    Scan,
+    Sightings,
+)
+from kalmap.slam.ahead import Ahead
+from kalmap.slam.checks import (
+    check_frame,
+    check_odometry,
+    check_sightings,
+    check_time,
+    checked_start,
+)
+from kalmap.slam.engines import BadSampleError, CompiledEngine
+from kalmap.slam.particles import Particles
+from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread
+from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, set_rates
+from kalmap.slam.window import Revisions
+
+_NO_BEAMS = np.zeros((0, 2))
+_NO_NOISE = np.full(3, -1.0)
+_PARALLEL = 8  # particles from which a second thread is worth its start
+
+
+class FiniteSetSlam:
+    """RB-PHD, SRCKF-PHD or Poisson multi-Bernoulli SLAM over particles, after the settings.
+
+    motion, sensor: built-in models. config: see `FiniteSetConfig`. start, start_covariance: (3,) pose and its (3, 3),
+    from which the particles are drawn. seed: of everything that is drawn; the same seed gives the same answer however
+    many threads there are. detector: turns scans into sightings, if scans come.
+
+    An event that cannot be used raises EventError and leaves the state as it was. recovered: how often all particles
+    had lost all weight; they then go on with equal ones.
+    """
+
+    def __init__(
+        self,
+        motion: BuiltInMotion | None = None,
+        sensor: RangeBearing | None = None,
+        config: FiniteSetConfig | None = None,
+        *,
+        start: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
+        start_covariance: np.ndarray | None = None,
+        seed: int = 1,
+        detector: Detector | None = None,
+    ) -> None:
+        self.motion = VelocitySteering() if motion is None else motion
+        self.sensor = RangeBearing() if sensor is None else sensor
+        self.config = FiniteSetConfig(method="pmb") if config is None else config
+        self.detector = detector
+        if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
+            raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
+        self.lineariser: BuiltIn = Cubature() if self.config.method == "srckf-phd" else Jacobian()
+        self._engine = CompiledEngine(self.motion, self.sensor, self.lineariser, True, False)
+        self.rng = np.random.default_rng(seed)
+        pose, covariance = checked_start(start, start_covariance)
+        biases = self.motion.biases
+        means = np.array([bias.mean for bias in biases])
+        self._ahead = Ahead(self._engine, means, np.diag([bias.sigma**2 for bias in biases]))
+        number = self.config.particles
+        poses = np.tile(pose, (number, 1))
+        if covariance.any():
+            poses = self.rng.multivariate_normal(pose, covariance, number, method="eigh")
+        self._particles = Particles(poses, np.tile(means, (number, 1)), self.config.cap)
+        self.rates = rates_from_config(self.config)
+        self._rules = rules_from_config(self.config, self.sensor)
+        self._left = np.zeros((number, 3, 3))
+        self._pose, self._spread = pose, covariance
+        self._numbers: dict[int, int] = {}
+        self._count = 0
+        self._time = float("-inf")
+        self._moved = False
+        self._changes = 0
+        self.frames_taken = self.step_number = self.resampled = self.recovered = 0
+        self.frame_used = 0
+        self.frame_sightings: Sightings | None = None
+        self.labels, self.explain = False, False
+        self.frame_nis, self.association_seconds = float("nan"), 0.0
+        self.frame_labels = np.zeros(0, dtype=np.int64)
+        self.frame_decision: Frame | None = None
+        self.frame_revisions: Revisions = {}
+        self._pool: ThreadPoolExecutor | None = None
+
+    # --- the filter -------------------------------------------------------------------------------------------
+
+    def step(self, event: Event) -> None:
+        """Take one event: odometry moves the particles, a frame weighs them and updates their maps."""
+        check_time(event, self._time)
+        try:
+            if isinstance(event, Odometry):
+                self._predict(event)
+            elif isinstance(event, Sightings):
+                self._observe(event)
+            elif isinstance(event, Scan):
+                self._observe(self._detect(event))
+            elif not isinstance(event, Fix):
+                raise EventError(
+                    f"{type(event).__name__} is no event that this filter knows", time=event.time
+                )
+        except NotPositiveError as problem:
+            raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
+        self._time = event.time
+        self._changes += 1
+
+    def _predict(self, event: Odometry) -> None:
+        check_odometry(event, self.motion)
+        try:
+            self._ahead.predict(event)
+        except BadSampleError as problem:
+            raise EventError(str(problem), time=event.time, field="values") from problem
+        self.step_number += len(event.values)
+        self._moved = True
+
+    def _detect(self, scan: Scan) -> Sightings:
+        if self.detector is None:
+            raise EventError("a scan came, but the filter has no detector", time=scan.time)
+        return self.detector(scan)
+
+    def _observe(self, frame: Sightings) -> None:
+        check_frame(frame, self._moved)
+        check_sightings(frame, self._engine.noises(frame.values)[1])
+        particles, z = self._particles, np.ascontiguousarray(frame.values)
+        root, gain, learning = self._ahead.parts()
+        delta, reference = self._ahead.delta.copy(), self._ahead.reference
+        particles.poses = compose(particles.poses, delta)
+        if len(reference):
+            off = exponential((particles.biases - reference) @ gain.T)
+            particles.poses = compose(particles.poses, off)
+        foreseen = particles.poses.copy()
+        particles.own(len(z))
+        log_factors, explained, tallies = self._carry(frame, z, root)
+        if not particles.weigh(log_factors):
+            self.recovered += 1
+        if len(reference):
+            particles.biases = (
+                particles.biases + logarithm(compose(inverse(foreseen), particles.poses)) @ learning.T
+            )
+            self._ahead.learn(learning, gain)
+        self._learn_rates(explained, tallies)
+        self.frame_used = round(float(particles.weights @ explained.sum(axis=1)))
+        self.frame_sightings = frame
+        self._say()
+        if particles.effective < self.config.resample * len(particles):
+            particles.resample(float(self.rng.random()))
+            self.resampled += 1
+        weights = particles.weights
+        self._ahead.start(weights @ particles.biases)
+        self.frames_taken += 1
+
+    def _carry(self, frame: Sightings, z: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Every particle through the frame: ln of its factor (N,), explained (N, M), tallies (N, 2, RINGS)."""
+        particles, config = self._particles, self.config
+        number = len(particles)
+        set_rates(self._rules, self.rates, config.new_rate, self.sensor)
+        profile = self.rates.profile
+        log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
+        tallies = np.zeros((number, 2, RINGS))
+        normals = self.rng.standard_normal((number, 3))
+        beams, noise = _beams(frame), _noise(frame)
+        by_motion = config.proposal == "motion"
+
+        def part(first: int, last: int) -> None:
+            kernel.step_particles(
+                self._engine.setup,
+                self._rules,
+                profile,
+                beams,
+                noise,
+                particles.blocks,
+                particles.counts,
+                particles.slots,
+                particles.poses,
+                root,
+                z,
+                self.frames_taken,
+                kernel.BERNOULLI if config.method == "pmb" else kernel.PHD,
+                kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
+                not (by_motion and config.method == "srckf-phd"),
+                1.0,
+                normals,
+                first,
+                last,
+                self._left,
+                log_factors,
+                explained,
+                tallies,
+            )
+
+        self._in_threads(part, number)
+        return log_factors, explained, tallies
+
+    def _in_threads(self, part: object, number: int) -> None:
+        threads = min(self.config.threads or os.cpu_count() or 1, max(number // (_PARALLEL // 2), 1))
+        if threads == 1:
+            part(0, number)  # type: ignore[operator]
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(threads)
+        edges = np.linspace(0, number, threads + 1).astype(int)
+        list(self._pool.map(part, edges[:-1].tolist(), edges[1:].tolist()))  # type: ignore[arg-type]
+
+    def _learn_rates(self, explained: np.ndarray, tallies: np.ndarray) -> None:
+        if self.config.estimate:
+            weights = self._particles.weights
+            could, were = np.einsum("n,nkr->kr", weights, tallies)
+            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)))
+
+    def _say(self) -> None:
+        """What is asked for at every instant, once a frame."""
+        particles = self._particles
+        self._pose = mean_pose(particles)
+        self._spread = pose_spread(particles, self._pose, self._left)
+        rows = particles.map_of(self.best)
+        self._count = int((rows[:, set_layout.WEIGHT] >= self.config.feature).sum())
+
+    # --- what it says -----------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Time of the last event, s; -inf before the first."""
+        return self._time
+
+    @property
+    def best(self) -> int:
+        """The heaviest particle."""
+        return int(np.argmax(self._particles.log_weights))
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(3,) x m, y m, heading rad: the particles' mean, carried on by odometry."""
+        return compose(self._pose, self._ahead.delta)
+
+    @property
+    def pose_covariance(self) -> np.ndarray:
+        """(3, 3): between the particles, what the last frame left of each, and the way since."""
+        turn, way = np.eye(3), self._ahead.covariance_of_way()
+        step = rotate(self._pose[2], self._ahead.delta[:2])
+        turn[:2, 2] = quarter_turn(step)
+        cosine, sine = np.cos(self._pose[2]), np.sin(self._pose[2])
+        axes = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray(turn @ self._spread @ turn.T + axes @ way @ axes.T)
+
+    @property
+    def landmark_count(self) -> int:
+        """How many landmarks the best particle's map holds."""
+        return self._count
+
+    @property
+    def attribute_names(self) -> tuple[str, ...]:
+        """None: the maps hold places alone."""
+        return ()
+
+    def settled_labels(self, labels: np.ndarray) -> np.ndarray:
+        """The labels as they are: nothing is merged away under another number."""
+        return labels
+
+    def twin(self) -> FiniteSetSlam:
+        """A fresh filter with the same settings, at the origin."""
+        return FiniteSetSlam(self.motion, self.sensor, self.config)
+
+    def map(self, particle: int | None = None) -> np.ndarray:
+        """(C, COLUMNS) the whole mixture of a particle, the best by default; a copy."""
+        return self._particles.map_of(self.best if particle is None else particle).copy()
+
+    def estimate(self) -> Estimate:
+        """A snapshot: the mean pose, the best particle's map, and what the particles differ by in the covariances."""
+        particles = self._particles
+        rows = particles.map_of(self.best)
+        best = rows[features(rows, self.config.feature)]
+        numbers = np.array(
+            [self._numbers.setdefault(int(i), len(self._numbers)) for i in best[:, set_layout.ID]],
+            dtype=np.int64,
+        )
+        landmarks, off = landmarks_of(particles, best, numbers)
+        pose, covariance, stamp = self.pose, self.pose_covariance, self._changes
+
+        def joint() -> tuple[np.ndarray, np.ndarray]:
+            if stamp != self._changes:
+                raise EstimationError("the filter has moved on: ask the joint covariance of a fresh estimate")
+            return joint_of(particles, pose, covariance, landmarks, off)
+
+        return Estimate(
+            time=self._time,
+            pose=pose,
+            covariance=covariance,
+            landmarks=landmarks,
+            biases=self._biases(),
+            joint=joint,
+            coordinates="additive",
+        )
+
+    def _biases(self) -> dict[str, tuple[float, float]]:
+        weights, means = self._particles.weights, self._particles.biases
+        mean = weights @ means
+        spread = weights @ np.square(means - mean) + np.diag(self._ahead.covariance)
+        return {
+            bias.name: (float(mean[i]), float(np.sqrt(spread[i])))
+            for i, bias in enumerate(self.motion.biases)
+        }
+
+
+def _beams(frame: Sightings) -> np.ndarray:
+    """(B, 2) bearing and range of the sweep that the frame was found in; a beam without return is far."""
+    if frame.scan is None:
+        return _NO_BEAMS
+    return np.ascontiguousarray(np.stack([frame.scan.bearings, frame.scan.ranges], axis=1))
+
+
+def _noise(frame: Sightings) -> np.ndarray:
+    """(3,) root of the mean noise that the frame states, -1 where it states none."""
+    if frame.covariance is None or not len(frame.covariance):
+        return _NO_NOISE
+    root = np.zeros((2, 2))
+    square_root(frame.covariance.mean(axis=0), 2, root)
+    return np.array([root[0, 0], root[1, 0], root[1, 1]])

@@ -1,0 +1,70 @@
+"""What the run loop asks of an estimator, whatever its family."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from kalmap.models import MotionModel, SensorModel
+from kalmap.records import Estimate, Event, Frame, Sightings
+from kalmap.slam.window import Revisions
+
+
+class Slam(Protocol):
+    """Landmark SLAM by the Kalman family or by random finite sets.
+
+    labels: whether it says which landmark each sighting belongs to, without being told; then frame_labels (M,) are
+    those of the last frame, and frame_revisions those that it revised. frame_nis: NaN where there is none;
+    frame_used: how many sightings it is of. explain: keep the reasons of a frame's association in frame_decision.
+    """
+
+    labels: bool
+    explain: bool
+    frame_nis: float
+    frame_used: int
+    frame_sightings: Sightings | None
+    frame_labels: np.ndarray
+    frame_decision: Frame | None
+    frame_revisions: Revisions
+    association_seconds: float
+
+    @property
+    def motion(self) -> MotionModel: ...
+
+    @property
+    def sensor(self) -> SensorModel: ...
+
+    @property
+    def time(self) -> float: ...
+
+    @property
+    def pose(self) -> np.ndarray: ...
+
+    @property
+    def pose_covariance(self) -> np.ndarray: ...
+
+    @property
+    def landmark_count(self) -> int: ...
+
+    @property
+    def frames_taken(self) -> int: ...
+
+    @property
+    def attribute_names(self) -> tuple[str, ...]:
+        """Which attributes of sightings it reads."""
+        ...
+
+    def step(self, event: Event) -> None:
+        """Take one event. One that cannot be used raises EventError and changes nothing."""
+        ...
+
+    def estimate(self) -> Estimate: ...
+
+    def settled_labels(self, labels: np.ndarray) -> np.ndarray:
+        """The labels of all frames so far, as they are seen now."""
+        ...
+
+    def twin(self) -> Slam:
+        """A fresh estimator with the same settings."""
+        ...

@@ -1,0 +1,98 @@
+"""What the particles say together: pose, map with existence, and how far the particles differ."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kalmap.geometry.angles import wrap
+from kalmap.kernels import set_layout as layout
+from kalmap.records import Landmarks
+from kalmap.slam.particles import Particles
+
+
+def mean_pose(particles: Particles) -> np.ndarray:
+    """(3,) weighted; the heading by its mean direction."""
+    weights, poses = particles.weights, particles.poses
+    heading = np.arctan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
+    return np.array([weights @ poses[:, 0], weights @ poses[:, 1], heading])
+
+
+def pose_spread(particles: Particles, mean: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """(3, 3): between the particles, and what the sightings leave of each one's pose; left (N, 3, 3), roots."""
+    weights = particles.weights
+    off = particles.poses - mean
+    off[:, 2] = wrap(off[:, 2])
+    between = (weights[:, None] * off).T @ off
+    within = np.einsum("n,nij,nkj->ik", weights, left, left)
+    return np.asarray(between + within)
+
+
+def features(rows: np.ndarray, threshold: float) -> np.ndarray:
+    """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices."""
+    chosen = np.flatnonzero(rows[:, layout.WEIGHT] >= threshold)
+    return chosen[np.argsort(rows[chosen, layout.ID], kind="stable")]
+
+
+def covariances(rows: np.ndarray) -> np.ndarray:
+    """(C, 2, 2) from the roots."""
+    l11, l21, l22 = rows[:, layout.L11], rows[:, layout.L21], rows[:, layout.L22]
+    return np.stack(
+        [np.stack([l11 * l11, l11 * l21], -1), np.stack([l11 * l21, l21 * l21 + l22 * l22], -1)], -2
+    )
+
+
+def deviations(particles: Particles, best: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """(N, K, 2) m: where each particle has the K landmarks of the best map, as differences from it.
+
+    best (K, COLUMNS); means (K, 2) their places. A landmark is the one founded by the same sighting; a particle that
+    has none of it differs by nothing.
+    """
+    off = np.zeros((len(particles), len(best), 2))
+    known: dict[int, np.ndarray] = {}
+    for n, slot in enumerate(particles.slots.tolist()):
+        if slot not in known:
+            rows = particles.map_of(n)
+            order = np.lexsort((-rows[:, layout.WEIGHT], rows[:, layout.ID]))
+            ids = rows[order, layout.ID]
+            at = np.searchsorted(ids, best[:, layout.ID])
+            found = at < len(ids)
+            found[found] = ids[at[found]] == best[found, layout.ID]
+            here = np.zeros((len(best), 2))
+            here[found] = rows[order[at[found]]][:, [layout.X, layout.Y]] - means[found]
+            known[slot] = here
+        off[n] = known[slot]
+    return off
+
+
+def landmarks_of(particles: Particles, best: np.ndarray, numbers: np.ndarray) -> tuple[Landmarks, np.ndarray]:
+    """The map of the best particle, with what the others differ by in its covariances; and these differences.
+
+    best (K, COLUMNS): its landmarks; numbers (K,): their lasting numbers.
+    """
+    places = best[:, [layout.X, layout.Y]]
+    off = deviations(particles, best, places)
+    weights = particles.weights
+    between = np.einsum("n,nki,nkj->kij", weights, off, off)
+    landmarks = Landmarks(
+        ids=numbers,
+        positions=places.copy(),
+        covariances=covariances(best) + between,
+        sightings=np.rint(best[:, layout.SEEN]).astype(np.int64),
+        existence=np.minimum(best[:, layout.WEIGHT], 1.0),
+    )
+    return landmarks, off
+
+
+def joint_of(
+    particles: Particles, pose: np.ndarray, pose_covariance: np.ndarray, landmarks: Landmarks, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n,) and covariance (n, n) of pose and landmarks: each one's own, and between the particles."""
+    weights, count = particles.weights, 2 * len(landmarks)
+    poses = particles.poses - pose
+    poses[:, 2] = wrap(poses[:, 2])
+    whole = np.concatenate([poses, off.reshape(len(weights), count)], axis=1)
+    covariance = (weights[:, None] * whole).T @ whole
+    covariance[:3, :3] = pose_covariance
+    for k, block in enumerate(landmarks.covariances):
+        covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] = block
+    return np.concatenate([pose, landmarks.positions.ravel()]), covariance
