@@ -34,7 +34,7 @@ _PHD_CORNERS = ((44, 0), (44, 88), (15, 88), (15, 40), (-15, 40), (-15, 88), (-4
 _PHD_SCALE, _PHD_ROUND, _PHD_AGAIN = 0.8398, 10.0, 4
 
 # Kaltiokallio et al.: features in the square of 1 km, m from one to the next, m nearest to the way
-_FIELD_FEATURES, _FIELD_APART, _FIELD_NEAR = 160, 10.0, 5.0
+_FIELD_FEATURES, _FIELD_APART, _FIELD_NEAR = 160, 58.0, 5.0
 FIELD_AREA: Area = (-500.0, -70.0, 500.0, 930.0)
 # likewise, for 4,000 looks: up and down six lanes
 _FIELD_CORNERS = (
@@ -111,9 +111,10 @@ def field_world(*, name: str = "field-160", **overrides: Any) -> World:
     From its simulation_setup.m: a sensor that reaches 150 m, 90 deg to either side, with 0.8 m and 0.3 deg; 0.8 m/s
     and 0.5 deg/s of noise on speed and turn rate; clutter uniform in range and bearing (there misses take their
     share of the clutter, too, which leaves 4.75). Its map, way and speed are in a binary file and not known here.
-    Chosen: 3 m/s; two laps of 6 km in three fingers, which pass everything; features anywhere in the square
-    (`FIELD_AREA`), at least 10 m apart and 5 m from the way. There the vehicle turns at a commanded rate, here it is
-    steered: with a wheelbase of 3 m the noise of 0.5 deg on the steering is 0.5 deg/s on the turn rate.
+    Chosen: 3 m/s; two laps of 6 km in three fingers, which pass everything; features in the square (`FIELD_AREA`), at
+    least 58 m apart, so that two or more are in view at every look (with features anywhere at all there would be
+    stretches of a hundred metres without one), and 5 m from the way. There the vehicle turns at a commanded rate,
+    here it is steered: with a wheelbase of 3 m the noise of 0.5 deg on the steering is 0.5 deg/s on the turn rate.
     """
     waypoints = _lap(np.array(_FIELD_CORNERS) * _FIELD_SCALE, _FIELD_ROUND)
     fields = {**_FIELD_FIELDS, **overrides}
