@@ -65,7 +65,7 @@ def messages(odds, pairs, free):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cluster(odds, start, of_sighting, of_feature, rows, columns):
+def cluster(odds, start, of_sighting, of_feature, rows, columns):
     """The cluster around sighting `start`; marks its members and lists them. Returns (rows, columns) counts."""
     count, features = odds.shape
     rows[0], n, m = start, 1, 0
@@ -121,7 +121,7 @@ def log_sum_of_associations(odds):
     for start in range(count):
         if of_sighting[start]:
             continue
-        n, m = _cluster(odds, start, of_sighting, of_feature, rows, columns)
+        n, m = cluster(odds, start, of_sighting, of_feature, rows, columns)
         if m == 0:
             continue
         if min(n, m) <= EXACT_SIDE:
@@ -147,7 +147,7 @@ def marginals(odds, pairs, free):
     for start in range(count):
         if of_sighting[start]:
             continue
-        n, m = _cluster(odds, start, of_sighting, of_feature, rows, columns)
+        n, m = cluster(odds, start, of_sighting, of_feature, rows, columns)
         if m == 0:
             continue
         if n == 1 and m == 1:

@@ -12,6 +12,34 @@ BY_MOTION, BY_SIGHTINGS = 0, 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def place(
+    setup,
+    rules,
+    profile,
+    beams,
+    noise,
+    block,
+    count,
+    pose,
+    root,
+    z,
+    proposal,
+    spread_by,
+    normal,
+    out,
+    left,
+):
+    """Where one particle goes, `out` (3,); returns ln of what that weighs. Arguments as `propose`."""
+    if proposal == BY_SIGHTINGS:
+        return propose(
+            setup, rules, profile, beams, pose, root, noise, block, count, z, normal, spread_by, out, left
+        )
+    moved(pose, root, normal, out)
+    left[:] = 0.0
+    return 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_particles(
     setup,
     rules,
@@ -48,27 +76,23 @@ def step_particles(
     pose, within = np.empty(3), np.zeros((3, 3))
     for p in range(first, last):
         block, count = blocks[slots[p]], counts[slots[p]]
-        log_factor = 0.0
-        if proposal == BY_SIGHTINGS:
-            log_factor = propose(
-                setup,
-                rules,
-                profile,
-                beams,
-                poses[p],
-                root,
-                noise,
-                block,
-                count,
-                z,
-                normals[p],
-                spread_by,
-                pose,
-                left[p],
-            )
-        else:
-            moved(poses[p], root, normals[p], pose)
-            left[p] = 0.0
+        log_factor = place(
+            setup,
+            rules,
+            profile,
+            beams,
+            noise,
+            block,
+            count,
+            poses[p],
+            root,
+            z,
+            proposal,
+            spread_by,
+            normals[p],
+            pose,
+            left[p],
+        )
         poses[p] = pose
         if not known_pose:
             world_root(pose[2], root, within)
