@@ -11,6 +11,7 @@ from kalmap.association.management import Counter, Existence, Keep, Trial
 from kalmap.association.mda import Mda
 from kalmap.association.merging import Merging
 from kalmap.association.nearest import Likelihood, Nearest
+from kalmap.association.pmb import Pmb
 
 __all__ = [
     "Associator",
@@ -27,6 +28,7 @@ __all__ = [
     "Mda",
     "Merging",
     "Nearest",
+    "Pmb",
     "Predicted",
     "Region",
     "Trial",

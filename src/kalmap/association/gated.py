@@ -129,7 +129,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     def associate(self, memory: Any, sightings: Sightings, predicted: Predicted) -> Association:
         """Decide a frame. Raises EventError if an attribute that is to be used is not there."""
         table = self._table(memory, sightings, predicted)
-        matching = self._match(table, predicted)
+        matching = self._match(memory, table, predicted)
         doubtful = None
         if self.ambiguity > 0.0:
             doubtful = ambiguous(predicted, table, matching.columns, self.ambiguity)
@@ -147,7 +147,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
             fate[doubtful] = kernel.DOUBTFUL
         return self._conclude(memory, table, matching, columns, fate, predicted)
 
-    def _match(self, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
         """The associator's own rule: which confirmed candidate each sighting gets."""
         raise NotImplementedError(f"{type(self).__name__} has no rule")
 

@@ -20,8 +20,8 @@ _SHARED = (
     ),
     click.option(
         "--association",
-        type=click.Choice(["known", "nearest", "likelihood", "jcbb", "mda", "djnn"]),
-        help="By the log's ids, or by place in one of five ways.",
+        type=click.Choice(["known", "nearest", "likelihood", "jcbb", "mda", "djnn", "pmb"]),
+        help="By the log's ids, or by place in one of six ways.",
     ),
     click.option(
         "--management",

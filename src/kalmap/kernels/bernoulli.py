@@ -33,6 +33,7 @@ from kalmap.kernels.set_layout import (
     PRUNE,
     RANGE,
     SEEN,
+    SUREST,
     WEIGHT,
 )
 
@@ -58,7 +59,7 @@ def _after(prior, row, innovations, pairs, free, j, rows, members, out):
     else:
         merged(rows, members, count, out)
         out[ID] = prior[ID]
-    out[WEIGHT] = min(out[WEIGHT], 1.0)
+    out[WEIGHT] = min(out[WEIGHT], SUREST)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -97,6 +98,6 @@ def bernoulli_update(
     kept = np.empty((total + sightings, COLUMNS))
     reduced = reduce(rules, rows, total, kept)
     for k in range(reduced):
-        kept[k, WEIGHT] = min(kept[k, WEIGHT], 1.0)
+        kept[k, WEIGHT] = min(kept[k, WEIGHT], SUREST)
     new = births(setup, rules, pose, root, z, noise, explained, number, kept, reduced)
     return write_back(block, count, active, seen, kept, new), log_sum

@@ -34,10 +34,9 @@ from kalmap.kernels.set_layout import (
     PRUNE,
     RANGE,
     SEEN,
+    SUREST,
     WEIGHT,
 )
-
-_SUREST = 1.0 - 1e-6  # most that an existence is believed: misses in a row can still undo it
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -56,7 +55,7 @@ def existence_if_given(existence, detection, density, alone):
     where no other sighting and no other landmark is near.
     """
     odds = existence * (1.0 - detection + detection * density / alone)
-    return min(odds / (1.0 - existence + odds), _SUREST)
+    return min(odds / (1.0 - existence + odds), SUREST)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -66,7 +65,7 @@ def _odds(rules, block, active, looks, seen, squared, odds):
     alone = rules[CLUTTER] / (1.0 - rules[BIRTH])
     total = sightings * math.log(alone) - rules[CLUTTER_RATE]
     for j in range(seen):
-        sighted = min(block[active[j], WEIGHT], _SUREST) * looks[j, DETECTION]
+        sighted = min(block[active[j], WEIGHT], SUREST) * looks[j, DETECTION]
         total += math.log(1.0 - sighted)
         for i in range(sightings):
             odds[i, j] = 0.0
@@ -86,7 +85,7 @@ def _landmarks(rules, block, active, looks, seen, innovations, squared, given, r
     total = 0
     for j in range(seen):
         prior, row, i = block[active[j]], rows[total], sighting[j]
-        existence, detection = min(prior[WEIGHT], _SUREST), looks[j, DETECTION]
+        existence, detection = min(prior[WEIGHT], SUREST), looks[j, DETECTION]
         row[:] = prior
         if i < 0:
             row[WEIGHT] = existence_if_missed(existence, detection)

@@ -8,6 +8,8 @@ ID = 6  # which sighting founded it: the same in every particle
 SEEN = 7  # sightings used so far, each with its probability
 COLUMNS = 8
 
+SUREST = 1.0 - 1e-6  # most that an existence is believed: misses in a row can still undo it
+
 # the rules of a filter, one vector
 CLUTTER = 0  # density of false sightings, 1 / (m rad)
 CLUTTER_RATE = 1  # their expected number in a frame

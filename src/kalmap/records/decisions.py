@@ -25,6 +25,8 @@ class Reason(IntEnum):
     JOINTLY_INCOMPATIBLE = 11
     FALSE_ALARM = 12
     AMBIGUOUS = 13
+    PROBABLE = 14
+    IMPROBABLE = 15
 
 
 REASONS: dict[int, str] = {
@@ -42,6 +44,8 @@ REASONS: dict[int, str] = {
     Reason.JOINTLY_INCOMPATIBLE: "possible alone, but not together with the rest of the frame: left unused",
     Reason.FALSE_ALARM: "cheaper as a false alarm over the frames of the window: left unused",
     Reason.AMBIGUOUS: "another landmark is nearly as likely: left unused",
+    Reason.PROBABLE: "nearly sure over all likely associations of the frame",
+    Reason.IMPROBABLE: "not sure enough over all likely associations of the frame: left unused",
 }
 
 

@@ -19,6 +19,7 @@ from kalmap.association import (
     Mda,
     Merging,
     Nearest,
+    Pmb,
     Region,
     Trial,
 )
@@ -31,7 +32,7 @@ from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 
-ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn")
+ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn", "pmb")
 
 _OWN_MANAGEMENT = {"djnn": "counter"}
 
@@ -65,6 +66,10 @@ def associator_from_config(config: AssociationConfig) -> Associator:
             false_rate=config.false_rate,
             new_rate=config.new_rate,
             **shared,
+        )
+    if config.method == "pmb":
+        return Pmb(
+            detection=config.detection, false_rate=config.false_rate, new_rate=config.new_rate, **shared
         )
     raise ConfigError(f"association.method: {config.method!r} is none of {', '.join(ASSOCIATIONS)}")
 

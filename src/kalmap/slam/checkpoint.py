@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from kalmap.association import Djnn, Jcbb, KnownIds, Likelihood, Mda, Nearest
+from kalmap.association import Djnn, Jcbb, KnownIds, Likelihood, Mda, Nearest, Pmb
 from kalmap.gaussian import Belief
 from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.models.motion import BuiltInMotion
@@ -34,7 +34,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     motion: BuiltInMotion
     sensor: RangeBearing
     lineariser: BuiltIn
-    association: KnownIds | Nearest | Likelihood | Jcbb | Mda | Djnn
+    association: KnownIds | Nearest | Likelihood | Jcbb | Mda | Djnn | Pmb
     scope: str
     coordinates: str
     use: str
