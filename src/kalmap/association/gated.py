@@ -194,7 +194,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
         should = table.in_view & ~hidden if _hides(memory["hiding"]) else table.in_view
         if (fate >= kernel.LOST).any():  # what an undecided sighting may have shown was not missed
             maybe = np.empty(len(indices), dtype=np.bool_)
-            contested_by(table.squared, fate, kernel.LOST, table.new_gate, maybe)
+            contested_by(table.squared, fate, kernel.LOST, table.gate, maybe)
             should = should & (seen | ~maybe)
         reach = self.region.reach(predicted)
         review = Review(indices, seen, should, ~table.trial, table.expected.z[:, 0], reach)
