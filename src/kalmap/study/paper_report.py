@@ -172,7 +172,7 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         name: {key: value for key, value in world.items() if key not in ("landmarks", "waypoints")}
         for name, world in worlds.items()
     }
-    methods = {case.method.name: case.method for case in cases}
+    methods = {case.method.name: case.config() for case in cases}
     return Manifest(
         kalmap=kalmap.__version__,
         python=platform.python_version(),
@@ -189,8 +189,8 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         config={
             "seeds": sorted({case.seed for case in cases}),
             "methods": {
-                name: {"filter": json_ready(method.filter), "association": json_ready(method.association)}
-                for name, method in methods.items()
+                name: {"filter": json_ready(config.filter), "association": json_ready(config.association)}
+                for name, config in methods.items()
             },
             "worlds": settings,
         },
