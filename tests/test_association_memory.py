@@ -48,8 +48,8 @@ def test_whether_landmarks_hide_each_other_is_learned():
 
 
 def test_an_undecided_sighting_excuses_only_landmarks_that_it_may_show():
-    """Oracle: counted by hand: between two landmarks it is left unused and neither is missed; one in whose gate (13.8) it
-    does not lie is, though it lies inside the wide gate for new ones (27.6), and so it is if this alone left it unused."""
+    """Oracle: counted by hand: between two landmarks it is left unused and neither is missed; one in whose gate (13.8)
+    it does not lie is, though it lies inside the wide gate for new ones (27.6), also if that is why it is unused."""
     method = Likelihood(ambiguity=4.6, management=Counter(expel=-99, admit=1))
     memory = memory_of(method, 3)
     association = decide(method, memory, frame(1), Fake([[1.0, 1.2, 20.0]]))

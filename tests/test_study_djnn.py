@@ -327,8 +327,8 @@ def test_what_was_asked_of_djnn_holds(tmp_path):
     significant in a signed-rank test, and are held to the right sign.
 
     Of what was asked one thing is missed and not held here: with the paper's gate DJNN's map has 300.35 features
-    in the mean of 20 seeds, where 300 was asked. With kalmap's own gates it holds, and is held, with the counter as with
-    existence probabilities.
+    in the mean of 20 seeds, where 300 was asked. With kalmap's own gates it holds, and is held, with the counter as
+    with existence probabilities.
     """
     seeds = int(os.environ.get("KALMAP_SLOW_SEEDS", "20"))
     own = ("djnn, own gates", "djnn, existence")
