@@ -35,9 +35,9 @@ class Outcome(msgspec.Struct, frozen=True):
     labels: for each sighting the landmark that it belongs to in the end (SPURIOUS: none): mergers followed, landmarks
     never confirmed left out; labels_at_once: as it was decided in its frame (or window);
     truth_ids: the identity that the log gives it, -1 where a frame has none; times (K,) s and values (K, 2) of the
-    sightings themselves. All four are empty where association was given, truth_ids also where the log has none. association_seconds:
-    s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if it was asked
-    for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for.
+    sightings themselves. All four are empty where association was given, truth_ids also where the log has none.
+    association_seconds: s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if
+    it was asked for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for.
     """
 
     estimate: Estimate
