@@ -80,7 +80,9 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     apart two sightings of the same landmark from different sides are beside the sensor's noise, as a standard
     deviation: the size of what is no point. It widens the gates, and mergers force no more than that. ambiguity:
     by how much the next best landmark must be worse in nu' S^-1 nu + ln det S, else a sighting is left unused;
-    0: not asked. patience: frames after which a landmark still on trial is given up. The rest: see the classes.
+    0: not asked. patience: frames after which a landmark still on trial is given up. management: here `Keep`, in `Djnn`
+    `Counter`, in `Mda` `Trial`; a configuration that names none has `Existence`, but for djnn. merging: here none, in
+    a configuration `Merging()`. The rest: see the classes.
     """
 
     gate: float = 0.999
