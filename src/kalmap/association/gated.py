@@ -82,7 +82,9 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     apart two sightings of the same landmark from different sides are beside the sensor's noise, as a standard
     deviation: the size of what is no point. It widens the gates, and mergers force no more than that. ambiguity:
     by how much the next best landmark must be worse in nu' S^-1 nu + ln det S, else a sighting is left unused;
-    0: not asked. patience: frames after which a landmark still on trial is given up. The rest: see the classes.
+    0: not asked. patience: frames after which a landmark still on trial is given up. management: here `Keep`, in `Djnn`
+    `Counter`, in `Mda` `Trial`; a configuration that names none has `Existence`, but for djnn. merging: here none, in
+    a configuration `Merging()`. The rest: see the classes.
     """
 
     gate: float = 0.999
@@ -197,7 +199,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
         should = table.in_view & ~hidden if self._hides(memory) else table.in_view
         if (fate >= kernel.LOST).any():  # what an undecided sighting may have shown was not missed
             maybe = np.empty(len(indices), dtype=np.bool_)
-            contested_by(table.squared, fate, kernel.LOST, table.new_gate, maybe)
+            contested_by(table.squared, fate, kernel.LOST, table.gate, maybe)
             should = should & (seen | ~maybe)
         reach = self.region.reach(predicted)
         review = Review(indices, seen, should, ~table.trial, table.expected.z[:, 0], reach)

@@ -68,9 +68,6 @@ def gather(given: dict[str, Any]) -> tuple[Settings, dict[str, Any]]:
     ):
         if given[key] is not None:
             flags.setdefault(table, {})[field] = given[key]
-    if given["detector"] is not None:  # the settings of another detector mean nothing to this one
-        own = settings.get("perception") or {}
-        flags["perception"] |= {name: own.get(name) for name in ("max_range", "clearance")}
     if given["seed"] is not None:
         flags["seed"] = given["seed"]
     if given["tolerant"]:

@@ -151,11 +151,11 @@ class AssociationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     local: only landmarks near what the sensor sees take part. reliable_range: m, up to which a landmark that is
         there is seen as a rule; None takes the sensor's range.
     interference, widen: djnn only: cases 1 to 3, and the factor on the gate of case 4 (0: never).
-    window: mda only: frames decided together. detection: probability that a landmark in view is seen,
-        false_rate: expected false sightings a frame, new_rate: new landmarks a frame (mda; "existence"
-        estimates the first as it goes).
+    window: mda only: frames decided together. detection: probability that a landmark in view is seen (mda;
+        "existence" and "counter" start from it and learn it as they go). false_rate: expected false sightings a
+        frame, new_rate: new landmarks a frame (mda only).
     work: jcbb only: most nodes of a search.
-    attributes: used as an extra likelihood.
+    attributes: used as an extra likelihood; by jcbb to say which pairs are possible, not in its joint distance.
     """
 
     method: AssociationName = "known"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
@@ -26,13 +26,14 @@ from kalmap.association import (
 from kalmap.association.management import BuiltInManagement
 from kalmap.models.motion import motion_from_config
 from kalmap.models.sensor import sensor_from_config
-from kalmap.perception import Detector, detector_from_config
+from kalmap.perception import detector_from_config
 from kalmap.records import AssociationConfig, ConfigError, Log, RunConfig
+from kalmap.records.config import AssociationName, ManagementName
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 
-ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn", "pmb")
+ASSOCIATIONS: tuple[str, ...] = get_args(AssociationName)
 
 _OWN_MANAGEMENT = {"djnn": "counter"}
 
@@ -79,19 +80,17 @@ def _management(config: AssociationConfig) -> BuiltInManagement:
     if name == "trial":
         return Trial(confirm=config.confirm, window=config.confirm_window)
     if name == "counter":
-        return Counter(admit=config.confirm)
+        return Counter(detection=config.detection, admit=config.confirm)
     if name == "existence":
         return Existence(detection=config.detection, admit=config.existence)
-    return Keep()
+    if name == "keep":
+        return Keep()
+    known = ", ".join(get_args(ManagementName))
+    raise ConfigError(f"association.management: {name!r} is none of {known}")
 
 
-def slam_from_config(
-    config: RunConfig, log: Log, detector: Detector | None = None
-) -> LandmarkSlam | FiniteSetSlam:
-    """The filter for this log. Raises ConfigError where settings contradict each other.
-
-    detector: turns scans into sightings; None builds the one that the configuration names.
-    """
+def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSlam:
+    """The estimator for this log. Raises ConfigError where settings contradict each other."""
     if config.finite_set.method is not None:
         return FiniteSetSlam(
             motion_from_config(config.motion),
@@ -100,7 +99,7 @@ def slam_from_config(
             start=log.start,
             start_covariance=log.start_covariance,
             seed=config.seed,
-            detector=detector or detector_from_config(config.perception),
+            detector=detector_from_config(config.perception),
         )
     lineariser, scope = resolve_filter(config.filter)
     return LandmarkSlam(
@@ -113,5 +112,5 @@ def slam_from_config(
         use=config.filter.use,
         start=log.start,
         start_covariance=log.start_covariance,
-        detector=detector or detector_from_config(config.perception),
+        detector=detector_from_config(config.perception),
     )

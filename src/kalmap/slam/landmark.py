@@ -183,9 +183,9 @@ class LandmarkSlam(MapState):
         self._settle(association)
         if not self.association.uses_ids:
             self.frame_labels = self._labels_of(association.matched)
-        self.frame_decision = None
-        if before is not None:
-            self.frame_decision = self._decision(association, self._labels_of(association.matched), before)
+        self.frame_decision = (
+            None if before is None else self._decision(association, self.frame_labels, before)
+        )
         self._tidy(association)
 
     def twin(self) -> LandmarkSlam:

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from kalmap._version import __version__
-from kalmap.data.native_map import write_atomically
+from kalmap.data.files import json_text, write_atomically
 from kalmap.data.results import check_result_folder, write_manifest, write_result
 from kalmap.evaluation import consistency, trajectory
 from kalmap.geometry.alignment import apply
@@ -189,7 +189,7 @@ def save_comparison(
             result.outcome, log, result.config, " ".join(sys.argv), started
         )
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / "metrics.json", _json(metrics))
+    write_atomically(folder / "metrics.json", json_text(metrics).encode())
     if manifests:
         first = next(iter(manifests.values()))
         configs = {name: one.config for name, one in manifests.items()}
@@ -207,7 +207,3 @@ def save_comparison(
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics
-
-
-def _json(value: object) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"
