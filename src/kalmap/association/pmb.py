@@ -22,6 +22,7 @@ _LEAST = 1e-3  # false sightings a frame
 _WIDE = 4.0  # det S / det R from which what a pair tells is worth a hypothesis of its own
 _SLIGHT = 0.01  # share of the likeliest below which an option is left out
 _SUREST = 1.0 - 1e-6
+_DOUBLE = 25.0  # squared distance by the sensor's noise within which two landmarks look like one
 
 
 class Option(msgspec.Struct, frozen=True):
@@ -95,7 +96,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
             kernel.finish(
                 table.squared, table.normalised, table.trial, table.gate, table.new_gate, columns, fate
             )
-            log += _of_trials(found, table, columns, fate)
+            log += _of_trials(found, table, columns, fate) + _excused(found, table, columns)
             options.append(Option(self._conclude(memory, table, matching, columns, fate, predicted), log))
         return sorted(options, key=lambda option: -option.log_likelihood)
 
@@ -172,14 +173,26 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
             view = 2.0 * math.pi * max(float(table.sightings.values[:, 0].max(initial=1.0)), 1.0)
         seen = np.empty(len(expected.indices))
         view_shares(expected.z, expected.spreads, predicted.max_range, predicted.half_view, seen)
-        scores = np.array([memory["score"][i] for i in expected.indices.tolist()])
-        existence = np.array([self.management.existence(score) for score in scores.tolist()])
-        seen *= self.detection * existence
+        seen *= self.detection * self._existence(memory, expected.indices, table.trial, false / frames)
         seen = np.clip(seen, 1.0 - _SUREST, _SUREST)
         missed = 1.0 - seen
         if len(seen) and self._hides(memory):
             missed[predicted.hidden(expected)] = 1.0
         return seen, missed, max(false / frames, _LEAST) / view
+
+    def _existence(self, memory: Any, indices: np.ndarray, trial: np.ndarray, clutter: float) -> np.ndarray:
+        """(C,) probability that each candidate exists, for the frame's likelihood.
+
+        One that has not been sighted again since its first time is as likely as a new landmark is among all sightings
+        that nothing explains, whatever the management begins with: else every false sighting would cost a miss.
+        """
+        scores = np.array([memory["score"][i] for i in indices.tolist()])
+        existence = np.array([self.management.existence(score) for score in scores.tolist()])
+        once = trial & (scores <= self.management.first_score)
+        prior = math.log(self.new_rate / max(clutter, _LEAST))
+        odds = np.exp(np.minimum(prior + scores[once] - self.management.first_score, 0.0))
+        existence[once] = odds / (1.0 + odds)
+        return existence
 
 
 def _pair_probabilities(found: Found, candidates: int) -> np.ndarray:
@@ -199,6 +212,22 @@ def _of_trials(found: Found, table: Table, columns: np.ndarray, fate: np.ndarray
         c = int(columns[m])
         density = -0.5 * float(table.normalised[m, c]) - math.log(2.0 * math.pi)
         total += math.log(found.seen[c] / found.missed[c]) + density - math.log(found.density)
+    return total
+
+
+def _excused(found: Found, table: Table, columns: np.ndarray) -> float:
+    """ln of what the misses of doubles had cost: of two landmarks in one place, only one can have the sighting."""
+    z, total = table.expected.z, 0.0
+    taken = columns[columns >= 0]
+    free = np.ones(len(z), dtype=bool)
+    free[taken] = False
+    for m in np.flatnonzero(columns >= 0).tolist():
+        off = z - z[columns[m]]
+        off[:, 1] = wrap(off[:, 1])
+        squared = np.einsum("ci,ij,cj->c", off, np.linalg.inv(table.noises[m]), off)
+        double = free & (squared < _DOUBLE)
+        total -= float(np.log(found.missed[double]).sum())
+        free &= ~double
     return total
 
 

@@ -26,7 +26,7 @@ AssociationName = Literal["known", "nearest", "likelihood", "jcbb", "mda", "djnn
 DetectorName = Literal["reflectors", "trees"]
 ManagementName = Literal["keep", "trial", "counter", "existence"]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-SetMethod = Literal["rb-phd", "srckf-phd", "mh-fastslam", "pmb"]
+SetMethod = Literal["rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm"]
 Proposal = Literal["motion", "sightings"]
 Weighting = Literal["empty", "single-feature", "single-cluster", "multi-feature"]
 
@@ -201,7 +201,8 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     method: None leaves the run to `filter` and `association`. "rb-phd": probability hypothesis density, EKF components
         (Mullane, Vo & Adams 2011). "srckf-phd": the same by square-root cubature filters (Yan et al. 2015).
         "mh-fastslam": landmarks by most likely association, `branches` hypotheses a particle. "pmb": Poisson
-        multi-Bernoulli, landmarks with identity and probability of existence.
+        multi-Bernoulli, landmarks with identity and probability of existence. "pmbm": the mixture of these in which
+        up to `particles` explanations of the run have a joint Gaussian each, by `filter` and `association`.
     particles: how many. threads: None for one a processor; the answer does not depend on it.
     proposal: "sightings" draws a pose that the frame makes likely, "motion" from odometry alone (as published).
     weighting: what of the map weighs a particle ("rb-phd", "srckf-phd"); None: what the method has by itself.

@@ -27,11 +27,12 @@ from kalmap.association.management import BuiltInManagement
 from kalmap.models.motion import motion_from_config
 from kalmap.models.sensor import sensor_from_config
 from kalmap.perception import detector_from_config
-from kalmap.records import AssociationConfig, ConfigError, Log, RunConfig
+from kalmap.records import AssociationConfig, ConfigError, FiniteSetConfig, Log, RunConfig
 from kalmap.records.config import AssociationName, ManagementName
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.mixture import MixtureSlam
 
 ASSOCIATIONS: tuple[str, ...] = get_args(AssociationName)
 
@@ -89,8 +90,10 @@ def _management(config: AssociationConfig) -> BuiltInManagement:
     raise ConfigError(f"association.management: {name!r} is none of {known}")
 
 
-def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSlam:
+def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSlam | MixtureSlam:
     """The estimator for this log. Raises ConfigError where settings contradict each other."""
+    if config.finite_set.method == "pmbm":
+        return _mixture(config, log)
     if config.finite_set.method is not None:
         return FiniteSetSlam(
             motion_from_config(config.motion),
@@ -114,3 +117,19 @@ def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSla
         start_covariance=log.start_covariance,
         detector=detector_from_config(config.perception),
     )
+
+
+def _mixture(config: RunConfig, log: Log) -> MixtureSlam:
+    """Explanations side by side, by the filter and the association that are set, with the rates of the sets."""
+    sets = config.finite_set
+    association = msgspec.structs.replace(
+        config.association,
+        method="pmb",
+        detection=min(max(sets.detection, 1e-6), 1.0 - 1e-6),
+        false_rate=max(sets.clutter, 1e-3),
+        new_rate=sets.new_rate,
+    )
+    alone = msgspec.structs.replace(config, association=association, finite_set=FiniteSetConfig())
+    slam = slam_from_config(alone, log)
+    assert isinstance(slam, LandmarkSlam)
+    return MixtureSlam(slam, sets.particles)
