@@ -254,12 +254,20 @@ def detection(rules, profile, beams, row):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _hidden(rules, beams, distance, bearing):
-    """Whether the beam that points at a place came back from well before it, or no beam points there."""
+    """Whether the beam that points at a place came back from well before it, or no beam points there.
+
+    A sweep whose ends are no further apart than two of its beams goes all around.
+    """
     count = len(beams)
-    at = np.searchsorted(beams[:, 0], bearing)
-    if at == 0 or at >= count:
-        return True
-    low = at - 1 if bearing - beams[at - 1, 0] < beams[at, 0] - bearing else at
+    first, last = beams[0, 0], beams[count - 1, 0]
+    bearing = first + (bearing - first) % _TWO_PI
+    if bearing > last:
+        if first + _TWO_PI - last > 2.0 * (last - first) / max(count - 1, 1):
+            return True
+        low = count - 1 if bearing - last < first + _TWO_PI - bearing else 0
+    else:
+        at = min(max(np.searchsorted(beams[:, 0], bearing), 1), count - 1)
+        low = at - 1 if bearing - beams[at - 1, 0] < beams[at, 0] - bearing else at
     return 0.0 < beams[low, 1] < distance - rules[DEPTH]
 
 
