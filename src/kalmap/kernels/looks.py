@@ -275,7 +275,8 @@ def _hidden(rules, beams, distance, bearing):
 def found(setup, pose, root, z, noise, scratch, component):
     """Fill X, Y and the root of the component that a sighting z (2,) founds, seen from the pose.
 
-    Its covariance is that of the landmark over (pose, range, bearing), by the Jacobian of the inverse sensor.
+    Its covariance is that of the landmark over (pose, range, bearing), by the Jacobian of the inverse sensor; across
+    the ray at least as if it were as far away as the range is uncertain, so that it has a root at the sensor itself.
     """
     angle = pose[2] + z[1] + setup[MOUNT_HEADING]
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -287,7 +288,8 @@ def found(setup, pose, root, z, noise, scratch, component):
     for i in range(3):
         first[i] = root[0, i] - from_y * root[2, i]
         second[i] = root[1, i] + from_x * root[2, i]
-    side_x, side_y = -z[0] * ray_y, z[0] * ray_x
+    arm = max(z[0], s_r)
+    side_x, side_y = -arm * ray_y, arm * ray_x
     first[3], second[3] = ray_x * s_r + side_x * cross, ray_y * s_r + side_y * cross
     first[4], second[4] = side_x * s_b, side_y * s_b
     component[X], component[Y] = pose[0] + from_x, pose[1] + from_y
