@@ -26,24 +26,29 @@ def messages(odds, pairs, free):
     count, features = odds.shape
     to_feature = np.ones((count, features))  # nu
     to_sighting = np.zeros((count, features))  # mu
+    others = np.empty(max(count, features) + 1)
     for _ in range(_ROUNDS):
         change = 0.0
         for j in range(features):
-            total = 1.0
-            for i in range(count):
-                total += odds[i, j] * to_feature[i, j]
+            others[count] = 0.0  # sums over the others: a difference would lose small rivals of a great pair
+            for i in range(count - 1, -1, -1):
+                others[i] = others[i + 1] + odds[i, j] * to_feature[i, j]
+            before = 1.0
             for i in range(count):
                 if odds[i, j] > 0.0:
-                    to_sighting[i, j] = odds[i, j] / max(total - odds[i, j] * to_feature[i, j], 1.0)
+                    to_sighting[i, j] = odds[i, j] / (before + others[i + 1])
+                    before += odds[i, j] * to_feature[i, j]
         for i in range(count):
-            total = 1.0
-            for j in range(features):
-                total += to_sighting[i, j]
+            others[features] = 0.0
+            for j in range(features - 1, -1, -1):
+                others[j] = others[j + 1] + to_sighting[i, j]
+            before = 1.0
             for j in range(features):
                 if odds[i, j] > 0.0:
-                    value = 1.0 / max(total - to_sighting[i, j], 1.0)
-                    change = max(change, abs(value - to_feature[i, j]))
+                    value = 1.0 / (before + others[j + 1])
+                    change = max(change, abs(value - to_feature[i, j]) / value)
                     to_feature[i, j] = value
+                    before += to_sighting[i, j]
         if change < _SETTLED:
             break
     log_sum = 0.0
