@@ -16,6 +16,7 @@ from numba import njit
 
 EXACT_SIDE = 10  # most members of the smaller side of a cluster that is summed exactly
 
+_LARGE = 1e50
 _ROUNDS = 200
 _SETTLED = 1e-9
 
@@ -97,23 +98,51 @@ def _cluster(odds, start, of_sighting, of_feature, rows, columns):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _exact(odds, rows, columns, n, m):
-    """Z of a cluster of n sightings and m features, min(n, m) <= EXACT_SIDE: over subsets of the smaller side."""
+def _oriented(odds, rows, columns, n, m):
+    """A cluster's odds with its smaller side across: (outer, inner), sightings down if there are more of them."""
     turned = m < n
-    inner, outer = (m, n) if turned else (n, m)
-    sums = np.zeros(1 << inner)
+    part = np.empty((n, m)) if turned else np.empty((m, n))
+    for a in range(n):
+        for b in range(m):
+            if turned:
+                part[a, b] = odds[rows[a], columns[b]]
+            else:
+                part[b, a] = odds[rows[a], columns[b]]
+    return part
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _scaled(sums):
+    """Divide by the greatest where the sums grow large; returns its logarithm, else zero."""
+    most = sums.max()
+    if most < _LARGE:
+        return 0.0
+    sums /= most
+    return math.log(most)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _join(sums, pair):
+    """One more member of the outer side, with odds pair (inner,), takes a free member of the inner side or none."""
+    for subset in range(len(sums) - 1, -1, -1):
+        value = sums[subset]
+        if value == 0.0:
+            continue
+        for a in range(len(pair)):
+            if subset >> a & 1 == 0 and pair[a] > 0.0:
+                sums[subset | 1 << a] += value * pair[a]
+    return _scaled(sums)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _exact(part):
+    """ln Z of a cluster of odds part (outer, inner), inner <= EXACT_SIDE: over subsets of the inner side."""
+    sums = np.zeros(1 << part.shape[1])
     sums[0] = 1.0
-    for b in range(outer):
-        for subset in range((1 << inner) - 1, -1, -1):
-            value = sums[subset]
-            if value == 0.0:
-                continue
-            for a in range(inner):
-                if subset >> a & 1 == 0:
-                    pair = odds[rows[b], columns[a]] if turned else odds[rows[a], columns[b]]
-                    if pair > 0.0:
-                        sums[subset | 1 << a] += value * pair
-    return sums.sum()
+    scale = 0.0
+    for b in range(len(part)):
+        scale += _join(sums, part[b])
+    return scale + math.log(sums.sum())
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -130,7 +159,7 @@ def log_sum_of_associations(odds):
         if m == 0:
             continue
         if min(n, m) <= EXACT_SIDE:
-            total += math.log(_exact(odds, rows, columns, n, m))
+            total += _exact(_oriented(odds, rows, columns, n, m))
             continue
         part = np.empty((n, m))
         for a in range(n):
