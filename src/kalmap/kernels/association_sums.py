@@ -6,7 +6,7 @@ normaliser of a multi-Bernoulli update. Pairs beyond the gate have L = 0, so the
 
 `exact` sums a cluster by dynamic programming over the subsets of its smaller side; `messages` is loopy belief
 propagation (Williams & Lau, Approximate evaluation of marginal association probabilities with belief propagation,
-2014), exact where a cluster has no loop, which also gives the probability of each pair.
+2014), exact where a cluster has no loop, which also gives the probability of each pair; `marginals` has it exactly where the smaller side is small.
 """
 
 import math
@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 EXACT_SIDE = 10  # most members of the smaller side of a cluster that is summed exactly
+EXACT_PAIRS = 6  # the same, where the probability of each pair is asked for
 
 _LARGE = 1e50
 _ROUNDS = 200
@@ -146,6 +147,48 @@ def _exact(part):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _exact_pairs(part, pairs, alone, alone_inside):
+    """ln Z of a cluster, the probability of each pair (outer, inner) and of each member of a side to stay alone.
+
+    Sums over who has chosen before a member of the outer side, times sums over who chooses after it.
+    """
+    outer, inner = part.shape
+    before = np.zeros((outer + 1, 1 << inner))
+    scales = np.zeros(outer + 1)
+    before[0, 0] = 1.0
+    for b in range(outer):
+        before[b + 1] = before[b]
+        scales[b + 1] = scales[b] + _join(before[b + 1], part[b])
+    whole = before[outer].sum()
+    log_sum = scales[outer] + math.log(whole)
+    for a in range(inner):
+        total = 0.0
+        for subset in range(1 << inner):
+            if subset >> a & 1 == 0:
+                total += before[outer, subset]
+        alone_inside[a] = total / whole
+    after = np.ones(1 << inner)
+    scale = 0.0
+    for b in range(outer - 1, -1, -1):
+        share = math.exp(scales[b] + scale - log_sum)
+        pairs[b] = 0.0
+        total = 0.0
+        for subset in range(1 << inner):  # ascending: what stands further on is still that of the member after
+            value, rest = before[b, subset], after[subset]
+            total += value * rest
+            for a in range(inner):
+                if subset >> a & 1 == 0 and part[b, a] > 0.0:
+                    taken = part[b, a] * after[subset | 1 << a]
+                    pairs[b, a] += value * taken
+                    rest += taken
+            after[subset] = rest
+        alone[b] = total * share
+        pairs[b] *= share
+        scale += _scaled(after)
+    return log_sum
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def log_sum_of_associations(odds):
     """ln Z of odds (M, F): exact cluster by cluster, by messages where a cluster is too large on both sides."""
     count, features = odds.shape
@@ -171,7 +214,10 @@ def log_sum_of_associations(odds):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def marginals(odds, pairs, free):
-    """As `messages`, cluster by cluster: pairs (M, F) is zero beyond them, free (F,) one for features without pair."""
+    """ln Z and what `messages` says, cluster by cluster and exact in small ones.
+
+    pairs (M, F) is zero beyond the clusters, free (F,) one for features without pair.
+    """
     count, features = odds.shape
     of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
     rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
@@ -189,6 +235,16 @@ def marginals(odds, pairs, free):
             pairs[rows[0], columns[0]] = value / (1.0 + value)
             free[columns[0]] = 1.0 / (1.0 + value)
             total += math.log(1.0 + value)
+            continue
+        if min(n, m) <= EXACT_PAIRS:
+            part = _oriented(odds, rows, columns, n, m)
+            part_pairs = np.empty(part.shape)
+            outside, inside = np.empty(part.shape[0]), np.empty(part.shape[1])
+            total += _exact_pairs(part, part_pairs, outside, inside)
+            for b in range(m):
+                free[columns[b]] = inside[b] if m < n else outside[b]
+                for a in range(n):
+                    pairs[rows[a], columns[b]] = part_pairs[a, b] if m < n else part_pairs[b, a]
             continue
         part, part_pairs, part_free = np.empty((n, m)), np.empty((n, m)), np.empty(m)
         for a in range(n):
