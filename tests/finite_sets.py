@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import multivariate_normal, norm
@@ -178,7 +178,7 @@ def look_by_points(setup, mount, pose, spread, row, rule, noise=NO_NOISE) -> Loo
     """Cubature (Arasaratnam & Haykin) or central differences (Norgaard et al.) with their textbook weights."""
     n = 5
     root = np.zeros((5, 5))
-    root[:3, :3], root[3:, 3:] = spread, np.linalg.cholesky(covariance(row))
+    root[:3, :3], root[3:, 3:] = spread, [[row[sets.L11], 0.0], [row[sets.L21], row[sets.L22]]]
     point = np.array([*pose, row[sets.X], row[sets.Y]])
     step = np.sqrt(n) if rule == "cubature" else RULES[rule][1]
     points = np.vstack([point, point + step * root.T, point - step * root.T])
@@ -215,6 +215,13 @@ def detection(rules, profile, look: Look) -> float:
     if rules[sets.HALF_VIEW] < np.pi:
         share *= norm.cdf((rules[sets.HALF_VIEW] - abs(look.predicted[1])) / sigma[1])
     return float(share)
+
+
+def look_of(rule, setup, mount, pose, root, row, noise=NO_NOISE) -> Look:
+    """By whichever rule; root (3, 3) of the pose's covariance."""
+    if rule == "jacobian":
+        return look_by_jacobian(setup, mount, pose, root @ root.T, row, noise)
+    return look_by_points(setup, mount, pose, root, row, rule, noise)
 
 
 # --- associations -----------------------------------------------------------------------------------------------
@@ -264,3 +271,118 @@ def set_likelihood(clutter, rate, detections, densities) -> float:
             value *= 1.0 if j in choice else 1.0 - seen
         total += value
     return total
+
+
+# --- a frame ----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Scene:
+    """Everything that an update of a map takes. rows (C, COLUMNS), z (M, 2), root (3, 3) of the pose's covariance."""
+
+    rows: np.ndarray
+    z: np.ndarray
+    rules: np.ndarray
+    rule: str = "jacobian"
+    mount: tuple[float, float, float] = MOUNTED
+    pose: np.ndarray = field(default_factory=lambda: np.array([2.0, -1.0, 0.7]))
+    root: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    profile: np.ndarray = field(default_factory=lambda: np.array([0.9]))
+    noise: np.ndarray = field(default_factory=NO_NOISE.copy)
+    beams: np.ndarray = field(default_factory=NO_BEAMS.copy)
+    room: int = 500
+
+    @property
+    def setup(self) -> np.ndarray:
+        return setup_of(self.rule, self.mount)
+
+    def looks(self) -> list[Look]:
+        """How each component looks, with its probability of detection."""
+        looks = []
+        for row in self.rows:
+            look = look_of(self.rule, self.setup, self.mount, self.pose, self.root, row, self.noise)
+            look.detection = detection(self.rules, self.profile, look)
+            looks.append(look)
+        return looks
+
+    def densities(self, looks) -> np.ndarray:
+        """(M, C)."""
+        return np.array([[look.density(z) for look in looks] for z in self.z]).reshape(
+            len(self.z), len(looks)
+        )
+
+    def within_gate(self, looks) -> np.ndarray:
+        """(M, C): whether a sighting is near enough to a component to be its."""
+        near = np.zeros((len(self.z), len(looks)), bool)
+        for j, look in enumerate(looks):
+            off = self.z - look.predicted
+            off[:, 1] = wrap(off[:, 1])
+            squared = np.einsum("mi,ij,mj->m", off, np.linalg.inv(look.innovation), off)
+            near[:, j] = squared <= self.rules[sets.GATE]
+        return near
+
+    def update(self, kernel, number: int = 7) -> Outcome:
+        """What a kernel makes of it."""
+        block = np.full((self.room, sets.COLUMNS), np.nan)
+        block[: len(self.rows)] = self.rows
+        explained, tally = np.full(len(self.z), np.nan), np.zeros((2, int(self.rules[sets.RINGS])))
+        count, log_weight = kernel(
+            self.setup,
+            self.rules,
+            self.profile,
+            self.beams,
+            self.pose,
+            self.root,
+            self.noise,
+            block,
+            len(self.rows),
+            self.z,
+            number,
+            explained,
+            tally,
+        )
+        return Outcome(block[:count].copy(), log_weight, explained, tally)
+
+
+@dataclass
+class Outcome:
+    rows: np.ndarray
+    log_weight: float
+    explained: np.ndarray
+    tally: np.ndarray
+
+
+def random_scene(
+    rng, components: int, sightings: int, rules, scale=0.2, weight=None, near=None, **other
+) -> Scene:
+    """Components around the pose, sightings of the first of them and anywhere; near: all within so many metres."""
+    scene = Scene(np.zeros((0, sets.COLUMNS)), np.zeros((0, 2)), rules, **other)
+    rows = [random_row(rng, scene.pose, 5.0, 30.0, scale, weight) for _ in range(components)]
+    if near is not None:
+        for row in rows[1:]:
+            row[[sets.X, sets.Y]] = rows[0][[sets.X, sets.Y]] + rng.uniform(-near, near, 2)
+    scene.rows = np.array(rows).reshape(components, sets.COLUMNS)
+    z = []
+    for i in range(sightings):
+        if components:
+            row = rows[i % components]
+            place = row[[sets.X, sets.Y]] + np.linalg.cholesky(covariance(row)) @ rng.standard_normal(2)
+            z.append(sight(scene.mount, scene.pose, place) + rng.standard_normal(2) * [0.1, 0.02])
+        else:
+            z.append([rng.uniform(2.0, 40.0), rng.uniform(-np.pi, np.pi)])
+    scene.z = np.array(z).reshape(sightings, 2)
+    scene.z[:, 1] = wrap(scene.z[:, 1])
+    return scene
+
+
+def heaviest_first(rows, least: float = 1e-12) -> np.ndarray:
+    rows = rows[rows[:, sets.WEIGHT] >= least]
+    return rows[np.argsort(-rows[:, sets.WEIGHT], kind="stable")]
+
+
+def density_of(rows, place) -> float:
+    """A mixture's value at a place."""
+    return sum(
+        row[sets.WEIGHT] * multivariate_normal.pdf(place, row[[sets.X, sets.Y]], covariance(row))
+        for row in rows
+    )
