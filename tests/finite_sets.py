@@ -94,15 +94,10 @@ def random_row(
 
 
 def sight(mount, pose, place) -> np.ndarray:
-    """(range, bearing) by homogeneous matrices."""
-
-    def frame(x, y, angle):
-        return np.array(
-            [[np.cos(angle), -np.sin(angle), x], [np.sin(angle), np.cos(angle), y], [0.0, 0.0, 1.0]]
-        )
-
-    x, y, _ = np.linalg.solve(frame(*pose) @ frame(*mount), [place[0], place[1], 1.0])
-    return np.array([np.hypot(x, y), np.arctan2(y, x)])
+    """(range, bearing) by complex numbers."""
+    from_vehicle = complex(place[0] - pose[0], place[1] - pose[1]) * np.exp(-1j * pose[2])
+    from_sensor = (from_vehicle - complex(mount[0], mount[1])) * np.exp(-1j * mount[2])
+    return np.array([abs(from_sensor), np.angle(from_sensor)])
 
 
 def locate(mount, pose, z) -> np.ndarray:
@@ -151,7 +146,8 @@ class Look:
 
     def density(self, z) -> float:
         off = np.array([z[0] - self.predicted[0], wrap(z[1] - self.predicted[1])])
-        return float(multivariate_normal.pdf(off, np.zeros(2), self.innovation))
+        squared = off @ np.linalg.solve(self.innovation, off)
+        return float(np.exp(-0.5 * squared) / (2.0 * np.pi * np.sqrt(np.linalg.det(self.innovation))))
 
     def moved(self, row, z) -> np.ndarray:
         off = np.array([z[0] - self.predicted[0], wrap(z[1] - self.predicted[1])])

@@ -101,8 +101,8 @@ def test_right_behind_where_the_bearing_wraps(rule, side):
     np.testing.assert_allclose(np.delete(away, sets.BEARING), np.delete(got, sets.BEARING), atol=1e-12)
 
 
-def test_sight_equals_homogeneous_matrices():
-    """Oracle: the point in the sensor's frame by solving with 3 x 3 matrices."""
+def test_sight_equals_complex_numbers():
+    """Oracle: the plain sensor, which turns by multiplying with complex numbers."""
     rng = np.random.default_rng(4)
     for _ in range(200):
         pose = np.array([*rng.uniform(-30, 30, 2), rng.uniform(-7, 7)])

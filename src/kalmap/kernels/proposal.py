@@ -102,10 +102,21 @@ def root_of_inverse(information, factor):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _pivots(cov, least):
+    """(c11, c21, c22) of an innovation to its pivots (c11, c21 / c11, c22 - c21^2 / c11), the last `least`^2 or more."""
+    slope = cov[1] / cov[0]
+    cov[2] = max(cov[2] - slope * cov[1], least * least)
+    cov[1] = slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, spread, information, pull):
     """Add every pair's information (3, 3) and pull (3,) on e at this pose; spread (3, 3): what e still varies by."""
     matrix, by_e = np.empty((2, 5)), np.empty((seen, 2, 3))
-    expected, own = np.empty((seen, 2)), np.empty((seen, 3))  # own: covariance without the pose's part
+    expected, own = (
+        np.empty((seen, 2)),
+        np.empty((seen, 3)),
+    )  # own: covariance without the pose's part, as pivots
     wide, scale = np.empty((seen, 3)), np.empty(seen)
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for j in range(seen):
@@ -128,13 +139,16 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
         own[j, 2] = a1 * a1 + b1 * b1 + cross * cross + s_b * s_b
         for r in range(2):
             for c in range(r + 1):
-                total = 0.0
+                total = own[j, r + c]
                 for k in range(3):
                     for m in range(3):
                         total += by_e[j, r, k] * spread[k, m] * by_e[j, c, m]
-                wide[j, r + c] = own[j, r + c] + total
-        determinant = wide[j, 0] * wide[j, 2] - wide[j, 1] * wide[j, 1]
-        scale[j] = looks[j, DETECTION] * component[WEIGHT] / (2.0 * math.pi * math.sqrt(determinant))
+                wide[j, r + c] = total
+        _pivots(wide[j], s_b)
+        _pivots(own[j], s_b)
+        scale[j] = (
+            looks[j, DETECTION] * component[WEIGHT] / (2.0 * math.pi * math.sqrt(wide[j, 0] * wide[j, 2]))
+        )
     share = np.empty(seen)
     for i in range(len(z)):
         whole = rules[CLUTTER]
@@ -143,10 +157,8 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
             nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
             if nu0 * nu0 > rules[GATE] * wide[j, 0]:
                 continue
-            determinant = wide[j, 0] * wide[j, 2] - wide[j, 1] * wide[j, 1]
-            squared = (
-                wide[j, 2] * nu0 * nu0 - 2.0 * wide[j, 1] * nu0 * nu1 + wide[j, 0] * nu1 * nu1
-            ) / determinant
+            across = nu1 - wide[j, 1] * nu0
+            squared = nu0 * nu0 / wide[j, 0] + across * across / wide[j, 2]
             if squared < rules[GATE]:
                 share[j] = scale[j] * math.exp(-0.5 * squared)
                 whole += share[j]
@@ -154,8 +166,9 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
             if share[j] < 1e-6 * whole:
                 continue
             weight = share[j] / whole
-            determinant = own[j, 0] * own[j, 2] - own[j, 1] * own[j, 1]
-            i00, i01, i11 = own[j, 2] / determinant, -own[j, 1] / determinant, own[j, 0] / determinant
+            i11 = 1.0 / own[j, 2]
+            i01 = -own[j, 1] * i11
+            i00 = 1.0 / own[j, 0] - own[j, 1] * i01
             nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
             for k in range(3):
                 g0 = by_e[j, 0, k] * i00 + by_e[j, 1, k] * i01
