@@ -4,9 +4,9 @@ With L_ij the odds of the pair (sighting i, feature j) against both being alone,
 Z = sum over matchings of the product of L over their pairs: the set likelihood of a multi-feature map, and the
 normaliser of a multi-Bernoulli update. Pairs beyond the gate have L = 0, so the problem falls into clusters.
 
-`exact` sums a cluster by dynamic programming over the subsets of its smaller side; `messages` is loopy belief
-propagation (Williams & Lau, Approximate evaluation of marginal association probabilities with belief propagation,
-2014), exact where a cluster has no loop, which also gives the probability of each pair; `marginals` has it exactly where the smaller side is small.
+Clusters are summed exactly by dynamic programming over the subsets of their smaller side, as long as that is small, and
+else by `messages`, loopy belief propagation (Williams & Lau, Approximate evaluation of marginal association
+probabilities with belief propagation, 2014), exact where a cluster has no loop. Both know the probability of each pair.
 """
 
 import math
@@ -173,7 +173,9 @@ def _exact_pairs(part, pairs, alone, alone_inside):
         share = math.exp(scales[b] + scale - log_sum)
         pairs[b] = 0.0
         total = 0.0
-        for subset in range(1 << inner):  # ascending: what stands further on is still that of the member after
+        for subset in range(
+            1 << inner
+        ):  # ascending: what stands further on is still that of the member after
             value, rest = before[b, subset], after[subset]
             total += value * rest
             for a in range(inner):
