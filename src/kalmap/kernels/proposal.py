@@ -103,7 +103,7 @@ def root_of_inverse(information, factor):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pivots(cov, least):
-    """(c11, c21, c22) of an innovation to its pivots (c11, c21 / c11, c22 - c21^2 / c11), the last `least`^2 or more."""
+    """(c11, c21, c22) of an innovation to (c11, c21 / c11, c22 - c21^2 / c11), the last of them least^2 or more."""
     slope = cov[1] / cov[0]
     cov[2] = max(cov[2] - slope * cov[1], least * least)
     cov[1] = slope
