@@ -371,6 +371,19 @@ def random_scene(
     return scene
 
 
+def behind(scene: Scene) -> Scene:
+    """The same scene with everything right behind the sensor, a landmark on this and its sighting on that side of
+    where the bearing wraps."""
+    sides = np.array([1.0, -1.0])
+    for j, row in enumerate(scene.rows):
+        row[[sets.X, sets.Y]] = locate(
+            scene.mount, scene.pose, [12.0 + 0.3 * j, np.pi - 0.004 * sides[j % 2]]
+        )
+    for i in range(len(scene.z)):
+        scene.z[i] = 12.05 + 0.3 * i, sides[i % 2] * (0.006 - np.pi)
+    return scene
+
+
 def heaviest_first(rows, least: float = 1e-12) -> np.ndarray:
     rows = rows[rows[:, sets.WEIGHT] >= least]
     return rows[np.argsort(-rows[:, sets.WEIGHT], kind="stable")]

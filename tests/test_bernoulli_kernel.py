@@ -80,6 +80,22 @@ def test_update_over_all_hypotheses(rule, root, landmarks, sightings):
                 np.testing.assert_allclose(np.sort(born[:, 0]), np.sort(expected), rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("rule", ["jacobian", "cubature"])
+def test_sightings_across_the_wrap(rule):
+    """Oracle: enumeration, landmarks and their sightings on two sides of the bearing pi."""
+    rng = np.random.default_rng(67)
+    for _ in range(10):
+        scene = plain.behind(random_scene(rng, 3, 3, rules_of(GATE=100.0, **BARE), rule=rule))
+        scene.rows[:, sets.ID] = np.arange(3)
+        outcome = scene.update(bernoulli_update)
+        log_sum, rows, explained = by_hypotheses(scene)
+        assert outcome.log_weight == pytest.approx(log_sum, rel=1e-8)
+        old = outcome.rows[np.argsort(outcome.rows[:, sets.ID])]
+        np.testing.assert_allclose(old, np.array(rows), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(outcome.explained, explained, rtol=1e-7)
+        assert explained.min() > 0.5
+
+
 def test_seven_landmarks_in_a_ring_of_doubt():
     """Oracle: enumeration. More sightings and landmarks in one cluster than are summed exactly, each sighting nearest
     to its own and near enough to its neighbours: messages, within 0.02; their sum is less than the true one, by less

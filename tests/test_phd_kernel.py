@@ -118,6 +118,30 @@ def test_weight_of_a_set_of_features(name, rule, root):
     assert used >= {"empty": {0}, "single-feature": {0, 1}, "multi-feature": {0, 1, 2, 3}}[name]
 
 
+@pytest.mark.parametrize("rule", ["jacobian", "cubature"])
+@pytest.mark.parametrize("name", ["empty", "single-feature", "multi-feature", "single-cluster"])
+def test_sightings_across_the_wrap(name, rule):
+    """Oracle: the same equations in plain numpy, landmarks and their sightings on two sides of the bearing pi."""
+    rng = np.random.default_rng(55)
+    rules = rules_of(WEIGHTING=STRATEGIES[name], FEATURE=0.3, GATE=100.0, **BARE)
+    for _ in range(10):
+        scene = plain.behind(random_scene(rng, 3, 3, rules, rule=rule))
+        outcome = scene.update(phd_update)
+        expected, explained = updated_intensity(scene)
+        got, expected = plain.heaviest_first(outcome.rows), plain.heaviest_first(expected)
+        np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(outcome.explained, explained, rtol=1e-7, atol=1e-12)
+        assert explained.min() > 0.5
+        if name == "single-cluster":
+            looks = scene.looks()
+            parts = scene.densities(looks) @ [look.detection * row[0] for row, look in zip(scene.rows, looks)]
+            factor = np.log(1e-3 + parts).sum() - 0.3 - 0.9 * scene.rows[:, 0].sum()
+        else:
+            features = features_of(outcome.rows, rules)
+            factor = factor_of_strategy(scene, features[: {"empty": 0, "single-feature": 1}.get(name)])
+        assert outcome.log_weight == pytest.approx(factor, rel=1e-6, abs=1e-6)
+
+
 def test_weight_of_a_merged_map():
     """Oracle: as above, the features being the merged components; v+ is that before merging."""
     rng = np.random.default_rng(43)

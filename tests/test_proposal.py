@@ -142,16 +142,22 @@ def test_root_of_an_inverse_information(spread):
         assert (np.diag(factor) <= 1.0).all()
 
 
+@pytest.mark.parametrize("wrapped", [False, True], ids=["around", "behind"])
 @pytest.mark.parametrize("name", ["full", "rank 2", "rank 1"])
-def test_certain_pairs_give_the_kalman_posterior(name):
+def test_certain_pairs_give_the_kalman_posterior(name, wrapped):
     """Oracle: the information filter over e ~ N(0, I), numeric derivatives, landmark and noise in the innovation; a
-    motion of a few centimetres, so that what is not linear is below a hundredth of a standard deviation."""
+    motion of a few centimetres, so that what is not linear is below a hundredth of a standard deviation. Landmarks all
+    around, or right behind the sensor, where a sighting's bearing wraps."""
     rng = np.random.default_rng(74)
     for _ in range(10):
         root = 0.1 * ROOTS[name]
         pose = np.array([2.0, -1.0, rng.uniform(-3, 3)])
         true = carried(pose, root, rng.standard_normal(3))
-        scene = scene_of(around(pose, 6, rng), true, rng, pose=pose)
+        places = around(pose, 6, rng)
+        if wrapped:
+            distances = np.linspace(9.0, 24.0, 6)
+            places = np.array([plain.locate(MOUNTED, true, [distance, np.pi]) for distance in distances])
+        scene = scene_of(places, true, rng, pose=pose)
         information, pull = np.eye(3), np.zeros(3)
         for row, z in zip(scene.rows, scene.z):
             place = row[[sets.X, sets.Y]]
