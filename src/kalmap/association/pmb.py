@@ -173,12 +173,21 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
             view = 2.0 * math.pi * max(float(table.sightings.values[:, 0].max(initial=1.0)), 1.0)
         seen = np.empty(len(expected.indices))
         view_shares(expected.z, expected.spreads, predicted.max_range, predicted.half_view, seen)
-        seen *= self.detection * self._existence(memory, expected.indices, table.trial, false / frames)
+        seen *= self._detection(memory, expected, predicted)
+        seen *= self._existence(memory, expected.indices, table.trial, false / frames)
         seen = np.clip(seen, 1.0 - _SUREST, _SUREST)
         missed = 1.0 - seen
         if len(seen) and self._hides(memory):
             missed[predicted.hidden(expected)] = 1.0
         return seen, missed, max(false / frames, _LEAST) / view
+
+    def _detection(self, memory: Any, expected: Expected, predicted: Predicted) -> np.ndarray:
+        """(C,) P_D at each candidate's range, as the management has learnt it."""
+        at = getattr(self.management, "detection_at", None)
+        if at is None:
+            return np.full(len(expected.z), self.detection)
+        reach, learnt = self.region.reach(predicted), memory["management"]
+        return np.array([at(learnt, min(r, 0.999 * reach), reach) for r in expected.z[:, 0].tolist()])
 
     def _existence(self, memory: Any, indices: np.ndarray, trial: np.ndarray, clutter: float) -> np.ndarray:
         """(C,) probability that each candidate exists, for the frame's likelihood.
