@@ -73,7 +73,10 @@ class Settling(msgspec.Struct, frozen=True):
     verdict: Verdict
     suspicion: Suspicion | None
     learned: tuple[tuple[int, int, float], ...]  # attribute, index, value
+    seen: np.ndarray  # (C,) candidates that got a sighting
+    should: np.ndarray  # (C,) candidates that should have
     hiding: tuple[float, float]  # landmarks behind something that were seen all the same, and all of them
+    beliefs: Any = None  # an associator's own
 
 
 class Gated(msgspec.Struct, frozen=True, kw_only=True):
@@ -234,6 +237,8 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
                 verdict,
                 suspicion,
                 self._learned(table.sightings, matched),
+                seen,
+                should,
                 _hiding(hidden, seen, table.trial),
             ),
             why=_explain(table, matching, fate, verdict, retired, suspicion) if predicted.explain else None,

@@ -10,7 +10,7 @@ import numpy as np
 
 from kalmap.association.associator import Predicted
 from kalmap.association.checks import check
-from kalmap.association.gated import Gated, Matching, Table
+from kalmap.association.gated import Gated, Matching, Settling, Table
 from kalmap.association.management import BuiltInManagement, Existence
 from kalmap.geometry.angles import wrap
 from kalmap.kernels import nearest as kernel
@@ -22,6 +22,10 @@ _LEAST = 1e-3  # false sightings a frame
 _WIDE = 4.0  # det S / det R from which what a pair tells is worth a hypothesis of its own
 _SLIGHT = 0.01  # share of the likeliest below which an option is left out
 _SUREST = 1.0 - 1e-6
+_MOST = 12.0  # ln odds beyond which existence is not believed or doubted further
+_BELIEVED = 0.0  # least ln odds of a landmark that the management believes: misses in a row have one cause
+_RINGS = 6
+_DETECTION = 0.05, 0.98  # bounds of what is learnt
 _DOUBLE = 25.0  # squared distance by the sensor's noise within which two landmarks look like one
 
 
@@ -32,32 +36,50 @@ class Option(msgspec.Struct, frozen=True):
     log_likelihood: float
 
 
-class Found(msgspec.Struct, frozen=True):
-    """The hypotheses of a frame: sets (H, M) candidate or -1, weights (H,) summing to one, logs (H,), best first.
+class Rates(msgspec.Struct, frozen=True):
+    """detection (C,): probability that each candidate is sighted if it exists; odds (C,): ln odds that it does.
 
-    seen, missed (C,): probability that each candidate is sighted, and that it is not: 1 for what may be hidden.
-    density: of sightings that nothing explains, 1 / (m rad).
+    seen, missed (C,): probability that it is sighted, and that it is not: 1 for what may be hidden. density: of
+    sightings that nothing explains, 1 / (m rad). rings (C,): of range.
     """
+
+    detection: np.ndarray
+    odds: np.ndarray
+    seen: np.ndarray
+    missed: np.ndarray
+    density: float
+    rings: np.ndarray
+
+
+class Found(Rates, frozen=True):
+    """The hypotheses of a frame: sets (H, M) candidate or -1, weights (H,) summing to one, logs (H,), best first."""
 
     sets: np.ndarray
     weights: np.ndarray
     logs: np.ndarray
-    seen: np.ndarray
-    missed: np.ndarray
-    density: float
+
+
+class Beliefs(msgspec.Struct, frozen=True):
+    """What a frame changes: ln odds of existence of candidates (index, odds) and of what it founds, and the tally of
+    detections (BINS, 2): believed landmarks sighted, and those that should have been."""
+
+    odds: tuple[tuple[int, float], ...]
+    new: float
+    tally: np.ndarray
 
 
 class Pmb(Gated, frozen=True, kw_only=True, tag=True):
     """A sighting goes to a landmark if that is nearly sure, over all likely associations of the whole frame.
 
-    Landmarks are Bernoulli components with a probability of existence (the management's), those never sighted a
-    Poisson process; a pair is weighed by P_D r N(nu; 0, S) against a miss and a sighting that nothing explains, whose
-    rate is learnt. The innovations of a frame hang together through the robot, so hypotheses are grown from the most
-    likely pairs in the joint Gaussian (`hypothesis_search`) and each pair's probability is summed over them. A lone
-    sighting in a wide gate, as likely clutter as landmark, is then not taken; several that agree are.
+    Landmarks are Bernoulli components with a probability of existence, those never sighted a Poisson process; a pair
+    is weighed by P_D r N(nu; 0, S) against a miss and a sighting that nothing explains. P_D in rings of range and the
+    rate of what nothing explains are learnt. The innovations of a frame hang together through the robot, so hypotheses
+    are grown from the most likely pairs in the joint Gaussian (`hypothesis_search`) and each pair's probability is
+    summed over them. A lone sighting in a wide gate, as likely clutter as landmark, is then not taken; several that
+    agree are. Which landmarks are used for correcting is the management's business, as everywhere.
 
-    sure: probability from which a pair is taken. detection: P_D. false_rate: false sightings a frame to start from.
-    seeds: pairs that hypotheses are grown from.
+    sure: probability from which a pair is taken. detection: P_D, false_rate: sightings a frame that nothing explains,
+    both to start from; new_rate: first sightings a frame. seeds: pairs that hypotheses are grown from.
     """
 
     sure: float = 0.95
@@ -76,14 +98,53 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         check(self.seeds >= 1, "seeds", "1 or more", self.seeds)
 
     def start(self) -> Any:
-        """As every associator by place, and [false sightings, frames]."""
-        return super().start() | {"false": [_FRAMES * self.false_rate, _FRAMES]}
+        """As every associator by place; ln odds of each landmark's existence; [unexplained sightings, frames]; and
+        for each ring of range [sightings, frames in view] of landmarks believed in."""
+        own = {
+            "odds": [],
+            "false": [_FRAMES * self.false_rate, _FRAMES],
+            "detected": [[_FRAMES * self.detection, _FRAMES] for _ in range(_RINGS)],
+        }
+        return super().start() | own
+
+    def fits(self, memory: Any, count: int) -> bool:
+        """Whether every list has an entry for each of `count` landmarks."""
+        return super().fits(memory, count) and len(memory["odds"]) == count
+
+    def existence(self, memory: Any) -> list[float]:
+        """The probability that each landmark is real."""
+        return _probability(np.array(memory["odds"])).tolist()
 
     def settle(self, memory: Any, association: Association) -> None:
-        """Count the sightings that no landmark in the map explains."""
+        """Take in existence, detections, and the sightings that no landmark in the map explains."""
+        change: Settling = association.change
+        beliefs: Beliefs = change.beliefs
         memory["false"][0] += float((association.matched < 0).sum())
         memory["false"][1] += 1.0
+        for entry, (seen, frames) in zip(memory["detected"], beliefs.tally.tolist(), strict=True):
+            entry[0] += seen
+            entry[1] += frames
+        for index, odds in beliefs.odds:
+            memory["odds"][index] = odds
+        memory["odds"] += [beliefs.new] * change.founded
         super().settle(memory, association)
+        for keep, drop in association.merged:
+            memory["odds"][keep] = max(memory["odds"][keep], memory["odds"][drop])
+        removed = {*association.retired, *(drop for _, drop in association.merged)}
+        for index in sorted(removed, reverse=True):
+            del memory["odds"][index]
+
+    def associate(self, memory: Any, sightings: Sightings, predicted: Predicted) -> Association:
+        """Decide a frame: the pairs that are nearly sure."""
+        table = self._table(memory, sightings, predicted)
+        found = self._find(memory, table, predicted)
+        pairs = _pair_probabilities(found, len(table.expected.indices))
+        columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
+        if pairs.size:
+            best = pairs.argmax(axis=1)
+            sure = pairs[np.arange(len(best)), best] >= self.sure
+            columns[sure] = best[sure]
+        return self._concluded(memory, table, found, columns, predicted)[0]
 
     def options(self, memory: Any, sightings: Sightings, predicted: Predicted, most: int) -> list[Option]:
         """The likeliest ways to explain a frame, best first: one, unless a pair that tells much is in doubt."""
@@ -91,14 +152,50 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         found = self._find(memory, table, predicted)
         options = []
         for columns, log in self._chosen(found, table, most):
-            matching = Matching(columns.copy(), Reason.PROBABLE, Reason.IMPROBABLE)
-            fate = np.empty(len(columns), dtype=np.int64)
-            kernel.finish(
-                table.squared, table.normalised, table.trial, table.gate, table.new_gate, columns, fate
-            )
-            log += _of_trials(found, table, columns, fate) + _excused(found, table, columns)
-            options.append(Option(self._conclude(memory, table, matching, columns, fate, predicted), log))
+            association, more = self._concluded(memory, table, found, columns, predicted)
+            options.append(Option(association, log + more))
         return sorted(options, key=lambda option: -option.log_likelihood)
+
+    def _concluded(
+        self, memory: Any, table: Table, found: Found, columns: np.ndarray, predicted: Predicted
+    ) -> tuple[Association, float]:
+        """What follows from pairs with confirmed landmarks (M,), and ln of what the rest adds to the likelihood."""
+        notes = (f"{len(found.sets)} hypotheses",) if predicted.explain else ()
+        matching = Matching(columns.copy(), Reason.PROBABLE, Reason.IMPROBABLE, notes)
+        fate = np.empty(len(columns), dtype=np.int64)
+        kernel.finish(table.squared, table.normalised, table.trial, table.gate, table.new_gate, columns, fate)
+        more = _of_trials(found, table, columns, fate) + _excused(found, table, columns)
+        association = self._conclude(memory, table, matching, columns, fate, predicted)
+        beliefs = self._beliefs(memory, table, found, columns, association.change)
+        change = msgspec.structs.replace(association.change, beliefs=beliefs)
+        return msgspec.structs.replace(association, change=change), more
+
+    def _beliefs(
+        self, memory: Any, table: Table, found: Found, columns: np.ndarray, change: Settling
+    ) -> Beliefs:
+        """Bernoulli update of the candidates: a sighting multiplies the odds by P_D N / c, a miss by 1 - P_D."""
+        odds = found.odds.copy()
+        missed = change.should & ~change.seen
+        odds[missed] += np.log1p(-found.detection[missed])
+        for m in np.flatnonzero(columns >= 0).tolist():
+            c = columns[m]
+            density = -0.5 * table.normalised[m, c] - math.log(2.0 * math.pi)
+            odds[c] += math.log(found.detection[c]) + max(density - math.log(found.density), 0.0)
+        odds = np.clip(odds, np.where(table.trial, -_MOST, _BELIEVED), _MOST)
+        changed = np.flatnonzero(change.seen | missed)
+        tally = np.zeros((_RINGS, 2))
+        believed = ~table.trial & (change.should | change.seen) & (found.odds > 0.0)
+        ring = np.minimum(found.rings[believed], _RINGS - 1)
+        np.add.at(tally, (ring, 0), change.seen[believed])
+        np.add.at(tally, (ring, 1), 1.0)
+        indices = table.expected.indices
+        pairs = zip(indices[changed].tolist(), odds[changed].tolist(), strict=True)
+        return Beliefs(tuple(pairs), self._new_odds(memory), tally)
+
+    def _new_odds(self, memory: Any) -> float:
+        """ln odds that a sighting which nothing explains is a landmark's first."""
+        false, frames = memory["false"]
+        return math.log(self.new_rate / max(false / frames, _LEAST))
 
     def _chosen(self, found: Found, table: Table, most: int) -> list[tuple[np.ndarray, float]]:
         """Candidate of every sighting (M,) and ln of the likelihood, of the hypotheses worth keeping.
@@ -121,29 +218,22 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         return [(columns, base + log) for columns, log in chosen if log >= least]
 
     def _telling(self, table: Table) -> np.ndarray:
-        """(M, C) bool: the pair's innovation is much wider than the sensor's noise, so that it would move the robot."""
-        noise = np.linalg.det(table.noises)
-        return np.exp(table.normalised - table.squared) > _WIDE * noise[:, None]
-
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
-        found = self._find(memory, table, predicted)
-        pairs = _pair_probabilities(found, len(table.expected.indices))
-        columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
-        if pairs.size:
-            best = pairs.argmax(axis=1)
-            sure = pairs[np.arange(len(best)), best] >= self.sure
-            columns[sure] = best[sure]
-        notes = (f"{len(found.sets)} hypotheses",) if predicted.explain else ()
-        return Matching(columns, Reason.PROBABLE, Reason.IMPROBABLE, notes)
+        """(M, C) bool: the pair's innovation is much wider than sensor and extent, so that it would move the robot."""
+        size = self.extent / np.maximum(table.expected.z[:, 0], max(self.extent, 1e-9))
+        across = table.noises[:, None, 0, 0] + self.extent**2
+        along = table.noises[:, None, 1, 1] + size[None] ** 2
+        noise = across * along - table.noises[:, None, 0, 1] ** 2
+        return np.exp(table.normalised - table.squared) > _WIDE * noise
 
     def _find(self, memory: Any, table: Table, predicted: Predicted) -> Found:
         """The hypotheses of a frame over the confirmed landmarks."""
-        seen, missed, density = self._rates(memory, table, predicted)
+        rates = self._rates(memory, table, predicted)
+        known = msgspec.structs.asdict(rates)
         possible = (table.squared <= table.gate) & ~table.trial
         rows, wanted = np.flatnonzero(possible.any(axis=1)), np.flatnonzero(possible.any(axis=0))
         if not len(rows):
             none = np.full((1, len(possible)), kernel.FREE, dtype=np.int64)
-            return Found(none, np.ones(1), np.zeros(1), seen, missed, density)
+            return Found(sets=none, weights=np.ones(1), logs=np.zeros(1), **known)
         expected = table.expected.take(wanted)
         nu = table.sightings.values[rows, None] - expected.z[None]
         nu[..., 1] = wrap(nu[..., 1])
@@ -154,7 +244,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
             _as_matrix(predicted.cross(expected)),
             predicted.noises[rows],
             possible[np.ix_(rows, wanted)],
-            np.log(seen[wanted] / missed[wanted]) - math.log(density),
+            np.log(rates.seen[wanted] / rates.missed[wanted]) - math.log(rates.density),
             self.seeds,
             sets,
             logs,
@@ -162,46 +252,33 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         whole = np.full((made, len(possible)), kernel.FREE, dtype=np.int64)
         whole[:, rows] = np.where(sets[:made] >= 0, wanted[sets[:made]], kernel.FREE)
         weights = np.exp(logs[:made] - logs[0])
-        return Found(whole, weights / weights.sum(), logs[:made], seen, missed, density)
+        return Found(sets=whole, weights=weights / weights.sum(), logs=logs[:made], **known)
 
-    def _rates(self, memory: Any, table: Table, predicted: Predicted) -> tuple[np.ndarray, np.ndarray, float]:
-        """(C,) probability of each candidate to be sighted and to be missed; the density of unexplained sightings."""
+    def _rates(self, memory: Any, table: Table, predicted: Predicted) -> Rates:
+        """What is to be expected of every candidate, and of sightings that none of them explains."""
         expected = table.expected
         false, frames = memory["false"]
-        view = predicted.max_range * 2.0 * predicted.half_view
-        if not math.isfinite(view):
-            view = 2.0 * math.pi * max(float(table.sightings.values[:, 0].max(initial=1.0)), 1.0)
-        seen = np.empty(len(expected.indices))
-        view_shares(expected.z, expected.spreads, predicted.max_range, predicted.half_view, seen)
-        seen *= self._detection(memory, expected, predicted)
-        seen *= self._existence(memory, expected.indices, table.trial, false / frames)
-        seen = np.clip(seen, 1.0 - _SUREST, _SUREST)
+        reach = predicted.max_range
+        if not math.isfinite(reach):
+            reach = max(float(table.sightings.values[:, 0].max(initial=1.0)), 1.0)
+        density = max(false / frames, _LEAST) / (reach * 2.0 * predicted.half_view)
+        detection = np.empty(len(expected.indices))
+        view_shares(expected.z, expected.spreads, predicted.max_range, predicted.half_view, detection)
+        learnt = np.array([seen / looked for seen, looked in memory["detected"]])
+        rings = (expected.z[:, 0] / reach * _RINGS).astype(np.int64)
+        detection *= np.clip(learnt, *_DETECTION)[np.minimum(rings, _RINGS - 1)]
+        detection = np.clip(detection, 1.0 - _SUREST, _SUREST)
+        odds = np.array([memory["odds"][i] for i in expected.indices.tolist()])
+        seen = detection * np.asarray(_probability(odds))
         missed = 1.0 - seen
         if len(seen) and self._hides(memory):
             missed[predicted.hidden(expected)] = 1.0
-        return seen, missed, max(false / frames, _LEAST) / view
+        return Rates(detection, odds, seen, missed, density, rings)
 
-    def _detection(self, memory: Any, expected: Expected, predicted: Predicted) -> np.ndarray:
-        """(C,) P_D at each candidate's range, as the management has learnt it."""
-        at = getattr(self.management, "detection_at", None)
-        if at is None:
-            return np.full(len(expected.z), self.detection)
-        reach, learnt = self.region.reach(predicted), memory["management"]
-        return np.array([at(learnt, min(r, 0.999 * reach), reach) for r in expected.z[:, 0].tolist()])
 
-    def _existence(self, memory: Any, indices: np.ndarray, trial: np.ndarray, clutter: float) -> np.ndarray:
-        """(C,) probability that each candidate exists, for the frame's likelihood.
-
-        One that has not been sighted again since its first time is as likely as a new landmark is among all sightings
-        that nothing explains, whatever the management begins with: else every false sighting would cost a miss.
-        """
-        scores = np.array([memory["score"][i] for i in indices.tolist()])
-        existence = np.array([self.management.existence(score) for score in scores.tolist()])
-        once = trial & (scores <= self.management.first_score)
-        prior = math.log(self.new_rate / max(clutter, _LEAST))
-        odds = np.exp(np.minimum(prior + scores[once] - self.management.first_score, 0.0))
-        existence[once] = odds / (1.0 + odds)
-        return existence
+def _probability(odds: np.ndarray) -> np.ndarray:
+    """The probability behind ln odds."""
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * odds)))
 
 
 def _pair_probabilities(found: Found, candidates: int) -> np.ndarray:

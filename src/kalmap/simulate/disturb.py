@@ -18,8 +18,8 @@ def with_clutter(log: Log, mean: float, seed: int) -> Log:
     """The log with on average `mean` false sightings more in every frame, a Poisson number.
 
     They are uniform in range and bearing over what the log's sensor sees (its default settings), have id -1 and, of
-    every attribute, the value of a sighting drawn from the frame (NaN in an empty one). The same seed gives the same log.
-    Raises ConfigError for a mean below 0 or beyond 1000.
+    every attribute, the value of a sighting drawn from the frame (NaN in an empty one). The same seed gives the same
+    log. Raises ConfigError for a mean below 0 or beyond 1000.
     """
     if not 0.0 <= mean <= 1000.0:
         raise ConfigError(f"clutter: expected 0 to 1000 false sightings a frame, got {mean:g}")
