@@ -250,3 +250,8 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def by_ids(self) -> bool:
         """Whether the log's own identities say which sighting belongs to which landmark."""
         return self.finite_set.method is None and self.association.method == "known"
+
+    @property
+    def by_place(self) -> bool:
+        """Whether the run itself decides which landmark each sighting belongs to; sets decide nothing of the kind."""
+        return self.finite_set.method is None and self.association.method != "known"

@@ -32,6 +32,8 @@ from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 
+SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb")
+WEIGHED_METHODS = ("rb-phd", "srckf-phd")
 ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn", "pmb")
 
 _OWN_MANAGEMENT = {"djnn": "counter"}
@@ -85,6 +87,18 @@ def _management(config: AssociationConfig) -> BuiltInManagement:
     return Keep()
 
 
+def check_method(config: RunConfig) -> None:
+    """Raise ConfigError where the settings of the method contradict each other."""
+    sets = config.finite_set
+    if sets.method is None:
+        resolve_filter(config.filter)
+    elif sets.weighting is not None and sets.method not in WEIGHED_METHODS:
+        raise ConfigError(
+            f"finite_set.weighting: {sets.method} weighs its particles in one way only; "
+            f"{sets.weighting} is for {' and '.join(WEIGHED_METHODS)}"
+        )
+
+
 def slam_from_config(
     config: RunConfig, log: Log, detector: Detector | None = None
 ) -> LandmarkSlam | FiniteSetSlam:
@@ -92,6 +106,7 @@ def slam_from_config(
 
     detector: turns scans into sightings; None builds the one that the configuration names.
     """
+    check_method(config)
     if config.finite_set.method is not None:
         return FiniteSetSlam(
             motion_from_config(config.motion),

@@ -13,15 +13,21 @@ from kalmap.evaluation import (
     score_association,
     sighting_identities,
 )
-from kalmap.records import AssociationConfig, FilterConfig, Log, RunConfig
+from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig
 from kalmap.simulate import World, simulate
 from kalmap.slam import Outcome, run, slam_from_config
+from kalmap.study.set_course import course_metrics, judge_course
 
 # what is kept of `judge`'s metrics, in the order of the tables
 METRICS = (
     "position_rmse_m",
     "heading_rmse_deg",
     "feature_rmse_m",
+    "ospa_m",
+    "gospa_m",
+    "cardinality_error",
+    "ospa_course_m",
+    "cardinality_course_error",
     "nees_mean",
     "nees_inside",
     "nis_mean",
@@ -46,11 +52,24 @@ CURVE_POINTS = 200
 
 
 class Method(msgspec.Struct, frozen=True):
-    """A filter, and perhaps an association of its own, under the name that tables and figures give it."""
+    """A filter, and perhaps an association of its own, under the name that tables and figures give it.
+
+    finite_set: of a method of random finite sets, for which filter and association mean nothing.
+    """
 
     name: str
-    filter: FilterConfig
+    filter: FilterConfig = FilterConfig()
     association: AssociationConfig | None = None
+    finite_set: FiniteSetConfig | None = None
+
+    def on(self, base: RunConfig) -> RunConfig:
+        """The settings with this method's in place of their own."""
+        return msgspec.structs.replace(
+            base,
+            filter=self.filter,
+            association=self.association or base.association,
+            finite_set=self.finite_set or msgspec.structs.replace(base.finite_set, method=None),
+        )
 
 
 class Case(msgspec.Struct, frozen=True, eq=False):
@@ -69,10 +88,8 @@ class Case(msgspec.Struct, frozen=True, eq=False):
     def config(self) -> RunConfig:
         """The world's own noise and sensor, with this filter and this association."""
         own = self.world.defaults()
-        association = self.method.association or self.association or own.association
-        return msgspec.structs.replace(
-            own, filter=self.method.filter, association=association, seed=self.seed
-        )
+        association = self.association or own.association
+        return self.method.on(msgspec.structs.replace(own, association=association, seed=self.seed))
 
 
 class Joint(msgspec.Struct, frozen=True):
@@ -135,24 +152,23 @@ def run_case(case: Case) -> RunRecord:
 
 
 def _association_ms(outcome: Outcome, config: RunConfig) -> float | None:
-    if config.association.method == "known" or not outcome.frames:
+    if not config.by_place or not outcome.frames:
         return None
     return 1e3 * outcome.association_seconds / outcome.frames
 
 
 def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | int | None]:
     """All metrics of a run (see `kalmap.evaluation.evaluate`)."""
-    known = config.association.method == "known"
-    association = None if known else _identities(outcome, log)
+    association = _identities(outcome, log) if config.by_place else None
     at_once = None
     if association is not None:
         truth = association[0]
         at_once = score_association(truth, outcome.labels_at_once, false_ids=log.false_ids).accuracy
-    return evaluate(
+    judged = evaluate(
         outcome.trace,
         outcome.estimate,
         log,
-        ids_known=known,
+        ids_known=config.by_ids,
         runtime_s=outcome.runtime,
         association=association,
         dead_reckoning=outcome.dead_reckoning,
@@ -161,8 +177,11 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         "sightings": outcome.sightings,
         "skipped": outcome.skipped_total,
         "association_accuracy_at_once": at_once,
-        "association_s": None if known else outcome.association_seconds,
+        "association_s": outcome.association_seconds if config.by_place else None,
     }
+    if outcome.course is not None:
+        judged |= course_metrics(judge_course(outcome, log, config))
+    return judged
 
 
 def _identities(outcome: Outcome, log: Log) -> tuple[np.ndarray, np.ndarray] | None:

@@ -189,7 +189,11 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         config={
             "seeds": sorted({case.seed for case in cases}),
             "methods": {
-                name: {"filter": json_ready(method.filter), "association": json_ready(method.association)}
+                name: {
+                    "filter": json_ready(method.filter),
+                    "association": json_ready(method.association),
+                    "finite_set": json_ready(method.finite_set),
+                }
                 for name, method in methods.items()
             },
             "worlds": settings,

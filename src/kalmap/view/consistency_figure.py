@@ -48,7 +48,8 @@ def _draw_nees(axes: Axes, errors: Errors | None, start: float) -> None:
 def _draw_nis(axes: Axes, run: RunView) -> None:
     trace = run.trace
     if not (np.isfinite(trace.nis) & (trace.nis_dof > 0)).any():
-        style.say(axes, "No NIS: no sighting was used.")
+        none = "no sighting was used" if run.sets is None else "particles have no innovation of a whole frame"
+        style.say(axes, f"No NIS: {none}.")
         return
     _draw_ratio(axes, trace.times - run.start_time, trace.nis, trace.nis_dof, per_dof=True)
     axes.set_ylabel("NIS / dof (1 is right)")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kalmap.view import style
-from kalmap.view.inputs import SetCurve
+from kalmap.view.inputs import RunView, SetCurve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 _TRUE: dict[str, Any] = {"color": style.BLACK, "lw": 3.2, "alpha": 0.28, "zorder": 1.5}
 
 
-def set_error_figure(times: np.ndarray, curves: Sequence[SetCurve], true_number: np.ndarray) -> Figure:
+def set_error_figure(
+    times: np.ndarray, curves: Sequence[SetCurve], true_number: np.ndarray, cutoff: float | None = None
+) -> Figure:
     """Number of features over time on top, below it OSPA, and its two parts side by side on one scale.
 
-    times: (F,) s, of all curves. true_number: (F,) how many features the map should have.
+    times: (F,) s, of all curves. true_number: (F,) how many features the map should have. cutoff: m, said in a title.
     """
     with style.house_style():
         if not curves or not len(times):
@@ -41,7 +43,8 @@ def set_error_figure(times: np.ndarray, curves: Sequence[SetCurve], true_number:
             first.plot(times, curve.localisation, **looks)
             second.plot(times, curve.cardinality, **looks)
         _write(number, "features", "Number of features in the map")
-        _write(whole, "OSPA (m)", "OSPA: distance of the map to the true one")
+        limit = "" if cutoff is None else f", cut off at {cutoff:.3g} m"
+        _write(whole, "OSPA (m)", f"OSPA: distance of the map to the true one{limit}")
         _write(first, "part of OSPA (m)", "Localisation part")
         _write(second, "", "Cardinality part")
         for axes in (first, second):
@@ -50,6 +53,43 @@ def set_error_figure(times: np.ndarray, curves: Sequence[SetCurve], true_number:
         handles, labels = number.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
     return figure
+
+
+def run_set_figure(run: RunView) -> Figure:
+    """Number of features and OSPA of one run over time; the number alone where there is no true map."""
+    sets = run.sets
+    assert sets is not None
+    if sets.curve is not None and sets.true_number is not None:
+        return set_error_figure(sets.times - run.start_time, [sets.curve], sets.true_number, sets.cutoff)
+    with style.house_style():
+        figure = style.new_figure(height=3.0)
+        axes = figure.add_subplot()
+        axes.plot(sets.times - run.start_time, sets.number, drawstyle="steps-post", color=style.BLUE)
+        _write(axes, "features", "Number of features in the map; this log has no true one to compare with")
+        axes.set_xlabel("time since start (s)")
+    return figure
+
+
+def runs_set_figure(runs: Sequence[RunView]) -> Figure:
+    """The same for those of several runs of a log whose maps are random finite sets with a true one beside them.
+
+    A run that was cut short is drawn as far as it came.
+    """
+    judged = [run for run in runs if run.sets is not None and run.sets.curve is not None]
+    longest = max(judged, key=lambda run: run.sets.times[-1], default=None)  # type: ignore[union-attr]
+    if longest is None or longest.sets is None or longest.sets.true_number is None:
+        return set_error_figure(np.zeros(0), [], np.zeros(0))
+    times = longest.sets.times
+    curves = [_resampled(run, times) for run in judged]
+    return set_error_figure(times - longest.start_time, curves, longest.sets.true_number, longest.sets.cutoff)
+
+
+def _resampled(run: RunView, times: np.ndarray) -> SetCurve:
+    """A run's curve at these times, NaN beyond its end."""
+    sets = run.sets
+    assert sets is not None and sets.curve is not None
+    parts = (sets.curve.number, sets.curve.ospa, sets.curve.localisation, sets.curve.cardinality)
+    return SetCurve(run.method, *(np.interp(times, sets.times, part, right=np.nan) for part in parts))
 
 
 def _write(axes: Axes, label: str, title: str) -> None:
