@@ -18,7 +18,15 @@ _REACH = 4.5  # standard deviations within which a component is evaluated
 # In pixels; a narrower component is widened to it, or the grid would miss its peak and falsify its weight.
 _NARROWEST = 0.6
 _LEAST = 1e-30  # weight of a component that is drawn
-_CROSSES: dict[str, Any] = {"s": 17.0, "marker": "x", "c": style.VERMILLION, "lw": 1.0, "zorder": 5}
+# Open, so that the peak of a well-known landmark is seen inside.
+_RINGS: dict[str, Any] = {
+    "s": 52.0,
+    "marker": "o",
+    "facecolors": "none",
+    "edgecolors": style.VERMILLION,
+    "lw": 0.9,
+    "zorder": 5,
+}
 _SHARE = 1e-4  # of the largest intensity: what is lower is left white
 
 
@@ -32,7 +40,7 @@ def intensity_figure(
     """The sum of weighted Gaussians as an image with a colour bar, on a logarithmic scale.
 
     weights: (N,) expected landmarks of each component. means: (N, 2), m. covariances: (N, 2, 2), m^2.
-    landmarks: (M, 2) true ones, as crosses. path: (F, 2) the robot's, as a line. Components that are not
+    landmarks: (M, 2) true ones, as rings. path: (F, 2) the robot's, as a line. Components that are not
     finite, not positive semi-definite or of hardly any weight are left out.
     """
     good = _drawable(weights, means, covariances)
@@ -50,7 +58,7 @@ def intensity_figure(
         if path is not None and len(path):
             axes.plot(path[:, 0], path[:, 1], color=style.GREY, lw=0.9, label="path", zorder=4)
         if landmarks is not None and len(landmarks):
-            axes.scatter(*landmarks.T, label="landmarks, true", **_CROSSES)
+            axes.scatter(*landmarks.T, label="landmarks, true", **_RINGS)
         axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set_title(
             f"Intensity of the map: {len(weights)} components, {weights.sum():.1f} landmarks expected"

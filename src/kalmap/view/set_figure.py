@@ -18,11 +18,16 @@ _TRUE: dict[str, Any] = {"color": style.BLACK, "lw": 3.2, "alpha": 0.28, "zorder
 
 
 def set_error_figure(
-    times: np.ndarray, curves: Sequence[SetCurve], true_number: np.ndarray, cutoff: float | None = None
+    times: np.ndarray,
+    curves: Sequence[SetCurve],
+    true_number: np.ndarray,
+    cutoff: float | None = None,
+    places: Sequence[int] | None = None,
 ) -> Figure:
     """Number of features over time on top, below it OSPA, and its two parts side by side on one scale.
 
     times: (F,) s, of all curves. true_number: (F,) how many features the map should have. cutoff: m, said in a title.
+    places: of each method among all that are compared, for the same colours as elsewhere; None counts these.
     """
     with style.house_style():
         if not curves or not len(times):
@@ -36,7 +41,7 @@ def set_error_figure(
         first = figure.add_subplot(grid[2, 0], sharex=number)
         second = figure.add_subplot(grid[2, 1], sharex=number, sharey=first)
         number.plot(times, true_number, drawstyle="steps-post", label="truth, seen so far", **_TRUE)
-        for index, curve in enumerate(curves):
+        for index, curve in zip(range(len(curves)) if places is None else places, curves, strict=True):
             looks = style.method_style(index)
             number.plot(times, curve.number, drawstyle="steps-post", label=curve.method, **looks)
             whole.plot(times, curve.ospa, **looks)
@@ -75,13 +80,15 @@ def runs_set_figure(runs: Sequence[RunView]) -> Figure:
 
     A run that was cut short is drawn as far as it came.
     """
-    judged = [run for run in runs if run.sets is not None and run.sets.curve is not None]
+    places = [k for k, run in enumerate(runs) if run.sets is not None and run.sets.curve is not None]
+    judged = [runs[k] for k in places]
     longest = max(judged, key=lambda run: run.sets.times[-1], default=None)  # type: ignore[union-attr]
     if longest is None or longest.sets is None or longest.sets.true_number is None:
         return set_error_figure(np.zeros(0), [], np.zeros(0))
-    times = longest.sets.times
-    curves = [_resampled(run, times) for run in judged]
-    return set_error_figure(times - longest.start_time, curves, longest.sets.true_number, longest.sets.cutoff)
+    sets = longest.sets
+    curves = [_resampled(run, sets.times) for run in judged]
+    times = sets.times - longest.start_time
+    return set_error_figure(times, curves, sets.true_number, sets.cutoff, places)
 
 
 def _resampled(run: RunView, times: np.ndarray) -> SetCurve:
