@@ -24,7 +24,7 @@ from kalmap.records import Log, Manifest, Reference, RunConfig
 from kalmap.slam import Outcome
 from kalmap.study.cases import judge
 from kalmap.study.compare import Compared
-from kalmap.study.set_course import judge_course
+from kalmap.study.set_course import JudgedCourse, course_metrics, judge_course
 from kalmap.study.trail import FIGURE, save_trail
 from kalmap.view import (
     Aligned,
@@ -58,12 +58,12 @@ def method_label(config: RunConfig) -> str:
     return f"{chosen.name}, {chosen.coordinates}{scope}{use}"
 
 
-def run_view(outcome: Outcome, log: Log, label: str, config: RunConfig | None = None) -> RunView:
+def run_view(outcome: Outcome, log: Log, label: str, judged: JudgedCourse | None = None) -> RunView:
     """The run with its first reference brought into the estimate's frame, and the errors against it.
 
-    config: the run's, to judge the course of a map that is a random finite set; None leaves that out.
+    judged: the course of a map that is a random finite set, where there is a true one.
     """
-    sets = None if config is None else _set_view(outcome, log, config, label)
+    sets = _set_view(outcome, judged, label)
     if not log.references:
         return RunView(method=label, log=log.name, estimate=outcome.estimate, trace=outcome.trace, sets=sets)
     reference = log.references[0]
@@ -82,14 +82,13 @@ def run_view(outcome: Outcome, log: Log, label: str, config: RunConfig | None = 
     )
 
 
-def _set_view(outcome: Outcome, log: Log, config: RunConfig, label: str) -> SetView | None:
+def _set_view(outcome: Outcome, judged: JudgedCourse | None, label: str) -> SetView | None:
     """The map as a random finite set; None where it is none."""
     if outcome.course is None:
         return None
     mixture, places = outcome.course.mixture, outcome.course.places
     number = np.array([len(each) for each in places], dtype=np.int64)
     known = (mixture.weights, mixture.means, mixture.covariances, outcome.course.times, number)
-    judged = judge_course(outcome, log, config)
     if judged is None:
         return SetView(*known)
     errors = judged.errors
@@ -182,13 +181,16 @@ def save_run(
     """
     check_result_folder(folder)
     metrics = judge(outcome, log, config)
+    judged = judge_course(outcome, log, config)
+    if judged is not None:
+        metrics |= course_metrics(judged)
     manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
     write_result(folder, estimate=outcome.estimate, trace=outcome.trace, metrics=metrics, manifest=manifest)
     trail, worst = save_trail(folder, outcome, manifest)
     for name in _SET_FIGURES:  # an earlier run of another method may have left them
         (folder / "figures" / f"{name}.png").unlink(missing_ok=True)
     if figures:
-        view = run_view(outcome, log, method_label(config), config)
+        view = run_view(outcome, log, method_label(config), judged)
         drawn = run_figures(view)
         if worst is not None:
             drawn[FIGURE] = decision_figure(worst)
@@ -216,7 +218,8 @@ def save_comparison(
         metrics[result.method] = save_run(
             inside, result.outcome, log, result.config, started=started, figures=False
         )
-        views.append(run_view(result.outcome, log, result.method, result.config))
+        judged = judge_course(result.outcome, log, result.config)
+        views.append(run_view(result.outcome, log, result.method, judged))
         manifests[result.method] = manifest_of(
             result.outcome, log, result.config, " ".join(sys.argv), started
         )

@@ -83,9 +83,9 @@ def runs_set_figure(runs: Sequence[RunView]) -> Figure:
     places = [k for k, run in enumerate(runs) if run.sets is not None and run.sets.curve is not None]
     judged = [runs[k] for k in places]
     longest = max(judged, key=lambda run: run.sets.times[-1], default=None)  # type: ignore[union-attr]
-    if longest is None or longest.sets is None or longest.sets.true_number is None:
+    sets = None if longest is None else longest.sets
+    if longest is None or sets is None or sets.true_number is None:
         return set_error_figure(np.zeros(0), [], np.zeros(0))
-    sets = longest.sets
     curves = [_resampled(run, sets.times) for run in judged]
     times = sets.times - longest.start_time
     return set_error_figure(times, curves, sets.true_number, sets.cutoff, places)
