@@ -84,15 +84,27 @@ def landmarks_of(particles: Particles, best: np.ndarray, numbers: np.ndarray) ->
 
 
 def joint_of(
-    particles: Particles, pose: np.ndarray, pose_covariance: np.ndarray, landmarks: Landmarks, off: np.ndarray
+    particles: Particles,
+    pose: np.ndarray,
+    pose_covariance: np.ndarray,
+    bias_covariance: np.ndarray,
+    landmarks: Landmarks,
+    off: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n,) and covariance (n, n) of pose and landmarks: each one's own, and between the particles."""
-    weights, count = particles.weights, 2 * len(landmarks)
+    """Mean (n,) and covariance (n, n) of pose, biases and landmarks: each one's own, and between the particles.
+
+    bias_covariance (nb, nb): what each particle is unsure of by itself.
+    """
+    weights = particles.weights
     poses = particles.poses - pose
     poses[:, 2] = wrap(poses[:, 2])
-    whole = np.concatenate([poses, off.reshape(len(weights), count)], axis=1)
+    mean = weights @ particles.biases
+    whole = np.concatenate([poses, particles.biases - mean, off.reshape(len(weights), -1)], axis=1)
     covariance = (weights[:, None] * whole).T @ whole
     covariance[:3, :3] = pose_covariance
+    first = 3 + len(mean)
+    covariance[3:first, 3:first] += bias_covariance
     for k, block in enumerate(landmarks.covariances):
-        covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] = block
-    return np.concatenate([pose, landmarks.positions.ravel()]), covariance
+        part = slice(first + 2 * k, first + 2 * k + 2)
+        covariance[part, part] = block
+    return np.concatenate([pose, mean, landmarks.positions.ravel()]), covariance
