@@ -56,7 +56,9 @@ def set_error_figure(
             axes.set_xlabel("time (s)")
         second.tick_params(labelleft=False)
         handles, labels = number.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=len(labels) if len(labels) < 5 else 3
+        )
     return figure
 
 
