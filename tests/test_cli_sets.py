@@ -27,6 +27,7 @@ REFUSED = {
         ["--set", "finite_set.method=pmb", "--use", "joint"],
         "--use joint means nothing to pmb",
     ),
+    "not yet": (["--method", "mh-fastslam"], "mh-fastslam is not carried out yet"),
     "no particles": (["--method", "pmb", "--particles", "0"], "--particles"),
     "no method": (["--method", "phd"], "'phd' is not one of"),
 }

@@ -33,6 +33,7 @@ from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 
 SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb")
+_CARRIED_OUT = ("rb-phd", "srckf-phd", "pmb")
 WEIGHED_METHODS = ("rb-phd", "srckf-phd")
 ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn", "pmb")
 
@@ -92,6 +93,10 @@ def check_method(config: RunConfig) -> None:
     sets = config.finite_set
     if sets.method is None:
         resolve_filter(config.filter)
+    elif sets.method not in _CARRIED_OUT:
+        raise ConfigError(
+            f"finite_set.method: {sets.method} is not carried out yet; there are {', '.join(_CARRIED_OUT)}"
+        )
     elif sets.weighting is not None and sets.method not in WEIGHED_METHODS:
         raise ConfigError(
             f"finite_set.weighting: {sets.method} weighs its particles in one way only; "

@@ -63,7 +63,7 @@ def run_view(outcome: Outcome, log: Log, label: str, judged: JudgedCourse | None
 
     judged: the course of a map that is a random finite set, where there is a true one.
     """
-    sets = _set_view(outcome, judged, label)
+    sets = _set_view(outcome, log, judged, label)
     if not log.references:
         return RunView(method=label, log=log.name, estimate=outcome.estimate, trace=outcome.trace, sets=sets)
     reference = log.references[0]
@@ -82,7 +82,7 @@ def run_view(outcome: Outcome, log: Log, label: str, judged: JudgedCourse | None
     )
 
 
-def _set_view(outcome: Outcome, judged: JudgedCourse | None, label: str) -> SetView | None:
+def _set_view(outcome: Outcome, log: Log, judged: JudgedCourse | None, label: str) -> SetView | None:
     """The map as a random finite set; None where it is none."""
     if outcome.course is None:
         return None
@@ -93,7 +93,7 @@ def _set_view(outcome: Outcome, judged: JudgedCourse | None, label: str) -> SetV
         return SetView(*known)
     errors = judged.errors
     curve = SetCurve(label, errors.estimated, errors.ospa, errors.localisation, errors.cardinality)
-    return SetView(*known, curve, errors.true, judged.cutoff)
+    return SetView(*known, curve, errors.true, judged.cutoff, log.references[0].kind)
 
 
 def _into_map(reference: Reference, angle: float, translation: np.ndarray) -> Aligned:

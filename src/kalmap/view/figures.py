@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from kalmap.view.compare_figure import bars_figure, error_curves_figure, maps_figure
 from kalmap.view.consistency_figure import consistency_figure
 from kalmap.view.error_figure import error_figure
-from kalmap.view.inputs import RunView
+from kalmap.view.inputs import RunView, SetView
 from kalmap.view.intensity_figure import intensity_figure
 from kalmap.view.map_figure import map_figure
 from kalmap.view.reading import numbers
@@ -39,9 +39,9 @@ CAPTIONS = {
         "`kalmap why` counts them), with lines to the landmark each got and to the nearest three that it did not get."
     ),
     "set": (
-        "The map as a set. The truth counts the landmarks that have been in view so far. OSPA is the distance to them "
-        "a landmark, with a missed or false one at the cut-off; its two parts are what misplaced ones and what missing "
-        "or false ones come to."
+        "The map as a set. The reference counts its landmarks that have been in view so far. OSPA is the distance to "
+        "them a landmark, with a missed or false one at the cut-off; its two parts are what misplaced ones and what "
+        "missing or false ones come to."
     ),
     "intensity": (
         "How many landmarks the last map expects where: all Gaussians of the best particle, also those that are too "
@@ -61,10 +61,14 @@ def run_figures(run: RunView) -> dict[str, Figure]:
     """
     drawn = {"map": map_figure(run), "errors": error_figure(run)}
     if run.sets is not None:
-        true = run.reference.landmarks if run.reference is not None else None
-        mixture = (run.sets.weights, run.sets.means, run.sets.covariances)
-        drawn |= {"set": run_set_figure(run), "intensity": intensity_figure(*mixture, true, run.path()[0])}
+        drawn |= {"set": run_set_figure(run), "intensity": _intensity(run, run.sets)}
     return drawn | {"consistency": consistency_figure(run), "timing": timing_figure(run)}
+
+
+def _intensity(run: RunView, sets: SetView) -> Figure:
+    landmarks, kind = (run.reference.landmarks, run.reference.kind) if run.reference else (None, "")
+    path = run.path()[0]
+    return intensity_figure(sets.weights, sets.means, sets.covariances, landmarks, path, kind)
 
 
 def comparison_figures(

@@ -61,7 +61,7 @@ class SetView(msgspec.Struct, frozen=True):
 
     weights: (N,) expected landmarks of each component of the last map; means: (N, 2) m; covariances: (N, 2, 2) m^2.
     times: (F,) s, number: (F,) landmarks in the map. curve, true_number: (F,) against the truth, None without one.
-    cutoff: m, of the OSPA.
+    cutoff: m, of the OSPA. kind: of the reference, as in `Aligned`.
     """
 
     weights: np.ndarray
@@ -72,6 +72,7 @@ class SetView(msgspec.Struct, frozen=True):
     curve: SetCurve | None = None
     true_number: np.ndarray | None = None
     cutoff: float | None = None
+    kind: str = "truth"
 
 
 class RunView(msgspec.Struct, frozen=True):

@@ -23,11 +23,13 @@ def set_error_figure(
     true_number: np.ndarray,
     cutoff: float | None = None,
     places: Sequence[int] | None = None,
+    kind: str = "truth",
 ) -> Figure:
     """Number of features over time on top, below it OSPA, and its two parts side by side on one scale.
 
     times: (F,) s, of all curves. true_number: (F,) how many features the map should have. cutoff: m, said in a title.
     places: of each method among all that are compared, for the same colours as elsewhere; None counts these.
+    kind: of the reference that true_number and the distances are of.
     """
     with style.house_style():
         if not curves or not len(times):
@@ -40,26 +42,31 @@ def set_error_figure(
         whole = figure.add_subplot(grid[1, :], sharex=number)
         first = figure.add_subplot(grid[2, 0], sharex=number)
         second = figure.add_subplot(grid[2, 1], sharex=number, sharey=first)
-        number.plot(times, true_number, drawstyle="steps-post", label="truth, seen so far", **_TRUE)
+        number.plot(times, true_number, drawstyle="steps-post", label=f"{kind}, seen so far", **_TRUE)
+        panels = (number, whole, first, second)
         for index, curve in zip(range(len(curves)) if places is None else places, curves, strict=True):
-            looks = style.method_style(index)
-            number.plot(times, curve.number, drawstyle="steps-post", label=curve.method, **looks)
-            whole.plot(times, curve.ospa, **looks)
-            first.plot(times, curve.localisation, **looks)
-            second.plot(times, curve.cardinality, **looks)
+            _draw(panels, times, curve, style.method_style(index))
         _write(number, "features", "Number of features in the map")
+        whose = "the true one" if kind == "truth" else f"that of {kind}"
         limit = "" if cutoff is None else f", cut off at {cutoff:.3g} m"
-        _write(whole, "OSPA (m)", f"OSPA: distance of the map to the true one{limit}")
+        _write(whole, "OSPA (m)", f"OSPA: distance of the map to {whose}{limit}")
         _write(first, "part of OSPA (m)", "Localisation part")
         _write(second, "", "Cardinality part")
         for axes in (first, second):
             axes.set_xlabel("time (s)")
         second.tick_params(labelleft=False)
         handles, labels = number.get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=len(labels) if len(labels) < 5 else 3
-        )
+        columns = len(labels) if len(labels) < 5 else 3
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns)
     return figure
+
+
+def _draw(panels: tuple[Axes, ...], times: np.ndarray, curve: SetCurve, looks: dict[str, Any]) -> None:
+    number, whole, first, second = panels
+    number.plot(times, curve.number, drawstyle="steps-post", label=curve.method, **looks)
+    whole.plot(times, curve.ospa, **looks)
+    first.plot(times, curve.localisation, **looks)
+    second.plot(times, curve.cardinality, **looks)
 
 
 def run_set_figure(run: RunView) -> Figure:
@@ -67,7 +74,9 @@ def run_set_figure(run: RunView) -> Figure:
     sets = run.sets
     assert sets is not None
     if sets.curve is not None and sets.true_number is not None:
-        return set_error_figure(sets.times - run.start_time, [sets.curve], sets.true_number, sets.cutoff)
+        return set_error_figure(
+            sets.times - run.start_time, [sets.curve], sets.true_number, sets.cutoff, kind=sets.kind
+        )
     with style.house_style():
         figure = style.new_figure(height=3.0)
         axes = figure.add_subplot()
@@ -90,7 +99,7 @@ def runs_set_figure(runs: Sequence[RunView]) -> Figure:
         return set_error_figure(np.zeros(0), [], np.zeros(0))
     curves = [_resampled(run, sets.times) for run in judged]
     times = sets.times - longest.start_time
-    return set_error_figure(times, curves, sets.true_number, sets.cutoff, places)
+    return set_error_figure(times, curves, sets.true_number, sets.cutoff, places, sets.kind)
 
 
 def _resampled(run: RunView, times: np.ndarray) -> SetCurve:
