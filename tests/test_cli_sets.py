@@ -73,7 +73,7 @@ def test_a_run_leaves_a_whole_result(runs, name):
     assert len(existence) == metrics["landmarks"] and all(0.6 <= each <= 1.0 for each in existence)
     page = (folder / "report.html").read_text()
     assert f"{name}, 3 particles on world:phd-1" in page and page.count("<img ") == len(PICTURES)
-    assert "coordinates on world" not in page and 'id="association"' not in page
+    assert ">OSPA<" in page and "coordinates on world" not in page and 'id="association"' not in page
 
 
 def test_a_kalman_run_in_the_same_folder_leaves_no_picture_of_a_set(tmp_path):
