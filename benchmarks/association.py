@@ -3,8 +3,8 @@
 Landmarks lie evenly over a square, so that about 15 are in view wherever the robot stands (30 m, half plane); the map
 is as sure of them as after a first lap. Every frame is taken from a new place; the sightings are what the sensor would
 see there.
-One frame is `associate` and `settle`, landmark management included, the reasons not asked for: everything from the
-sightings to the updated memory, but not the filter's update.
+One frame is `associate` and `settle`, the reasons not asked for: everything from the sightings to the updated memory,
+but not the filter's update. DJNN has its counter; the others believe every landmark (`Keep`). Nothing is merged.
 
 Time by the wall, one BLAS thread; the median over the frames of the median over the rounds, so that being interrupted
 does not count. A third of DJNN's is the filter's own regression of the candidates (central differences).
@@ -78,7 +78,7 @@ class Course:
         return memory
 
     def pass_once(self, method: Gated, memory: Any) -> np.ndarray:
-        """(frames,) CPU seconds."""
+        """(frames,) seconds by the wall clock."""
         spent = np.empty(len(self.frames))
         for k, (pose, frame) in enumerate(zip(self.poses, self.frames, strict=True)):
             self.belief.mean[:3] = pose

@@ -16,8 +16,8 @@ import worlds as common
 from kalmap.data import open_log
 from kalmap.records import AssociationConfig, FilterConfig, KalmapError, RunConfig
 from kalmap.simulate import simulate, world_by_name
-from kalmap.slam import LandmarkSlam, Outcome, run, slam_from_config
-from kalmap.study.cases import METRICS, Case, Method, RunRecord, judge
+from kalmap.slam import LandmarkSlam, run, slam_from_config
+from kalmap.study.cases import METRICS, Case, Method, RunRecord, association_ms, judge
 from kalmap.study.store import Store
 from kalmap.study.workers import carry_out
 
@@ -119,16 +119,10 @@ def measure_world(case: Case) -> RunRecord:
         return RunRecord(*names, {}, [], [], [], str(outcome.error))
     metrics = judge(outcome, log, config)
     kept = {key: metrics.get(key) for key in METRICS}
-    kept["association_ms"] = _ms_a_frame(outcome, config)
+    kept["association_ms"] = association_ms(outcome, config)
     return RunRecord(
         *names, kept | state_of(slam) | {"true_landmarks": len(case.world.landmarks)}, [], [], []
     )
-
-
-def _ms_a_frame(outcome: Outcome, config: RunConfig) -> float | None:
-    if config.association.method == LIMIT or not outcome.frames:
-        return None
-    return 1e3 * outcome.association_seconds / outcome.frames
 
 
 def state_of(slam: LandmarkSlam) -> dict[str, float | None]:

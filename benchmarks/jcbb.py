@@ -144,35 +144,24 @@ def main() -> None:
     large = frames // 10  # of frames that take a hundred milliseconds
     records = [measure(name, frames if READINGS[name][0] == 15 else large, rounds) for name in READINGS]
     records.append(measure("60 x 80", large, rounds, randomised=True))
-    head = (
-        "reading",
-        "method",
-        "frames",
-        "candidates",
-        "pairs",
-        "right",
-        "optimum",
-        "median us",
-        "90 % us",
-        "most us",
-    )
-    keys = (
-        "reading",
-        "method",
-        "frames",
-        "candidates",
-        "pairs",
-        "right",
-        "optimum",
-        "median_us",
-        "us_90",
-        "most_us",
-    )
+    columns = {
+        "reading": "reading",
+        "method": "method",
+        "frames": "frames",
+        "candidates": "candidates",
+        "pairs": "pairs",
+        "right": "right",
+        "optimum": "optimum",
+        "median us": "median_us",
+        "90 % us": "us_90",
+        "most us": "most_us",
+    }
     rows = [
-        [r[key] for key in keys] + [f"{r['nodes']:g}, {r['nodes_90']:g}, {r['most_nodes']}"] for r in records
+        [r[key] for key in columns.values()] + [f"{r['nodes']:g}, {r['nodes_90']:g}, {r['most_nodes']}"]
+        for r in records
     ]
     frame_us = records[0]["median_us"]
-    text = f"""{report.table((*head, "nodes: median, 90 %, most"), rows)}
+    text = f"""{report.table((*columns, "nodes: median, 90 %, most"), rows)}
 
 15 sightings x 20 gated candidates ("frame"): median {frame_us:.3g} us (asked: below {TARGET_US:g}), {frames} frames."""
     report.write("jcbb_quick" if parser.parse_args().quick else "jcbb", text, records)

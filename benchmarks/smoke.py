@@ -75,7 +75,7 @@ def checks() -> list[tuple[str, float, float]]:
     paper = djnn_10()
     frame = association.measure((300,), 100, 3, ("djnn",))[0]
     return [
-        ("DJNN at 300 landmarks, CPU us a frame", frame["median_us"], DJNN_US),
+        ("DJNN at 300 landmarks, us a frame", frame["median_us"], DJNN_US),
         ("djnn-10, pairwise F1 of DJNN: what is missing to 1", 1.0 - paper["f1"], 1.0 - DJNN_F1),
         ("djnn-10, features in DJNN's map (252 are real)", paper["features"], DJNN_FEATURES),
         ("slope of a frame's time in n, 100 to 2,000",

@@ -117,9 +117,6 @@ class XYSensor:
     def covariance(self, z: np.ndarray) -> np.ndarray:
         return np.repeat(self.noise[None], len(z), axis=0)
 
-    def in_view(self, pose: np.ndarray, landmarks: np.ndarray, margin: float) -> np.ndarray:
-        return np.ones(len(landmarks), dtype=bool)
-
 
 def circle_events(seed: int, frames: int = 40, landmarks: int = 12, samples: int = 4) -> list:
     """A noisy drive on a circle among landmarks: odometry blocks (speed, steering) and frames, alternating.

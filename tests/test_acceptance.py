@@ -40,11 +40,11 @@ def test_car_park_without_ids(data_root, filter_name):  # noqa: F811
 
 
 def test_victoria_park_with_ids(data_root):  # noqa: F811
-    """Oracle: the batch least-squares solution of the same detections, and GPS."""
+    """Oracle: the batch least-squares solution of the same detections, and GPS. Asked: landmarks 0.60 m, path 2.3 m."""
     metrics, outcome = judged(open_log(data_root / "victoria_park"))
     assert len(outcome.estimate.landmarks) == 299
     assert metrics["feature_aligned_rmse_m"] <= 0.60
-    assert metrics["ate_aligned_rmse_m"] <= 2.3
+    assert metrics["ate_aligned_rmse_m"] <= 1.2  # 0.86 is reached
     assert metrics["gps_ate_aligned_trimmed_rmse_m"] <= 1.5
     assert metrics["nees_mean"] is None  # a batch solution is no truth
 

@@ -135,10 +135,12 @@ def test_gates_of_nothing_and_of_everything(gates, method, management):
 @MANAGEMENT
 @METHOD
 def test_two_hundred_in_one_place_with_an_open_gate(method, management):
-    """Oracle: everything fits everything, twice; it ends, and the state stays sane."""
+    """Oracle: everything fits everything, twice: it ends, the state stays sane, and what the first sighting founded
+    is the only landmark there ever is."""
     slam = filter_with(method, management, gate=1.0, new_gate=1.0)
     for count in (1, 200, 200):
-        see(slam, ONE * count)
+        assert len(see(slam, ONE * count)) == count
+    assert slam._founded == len(slam._ids) == 1
 
 
 @METHOD

@@ -7,7 +7,7 @@ import numpy as np
 
 from fake_map import Fake, decide, frame, memory_of
 from kalmap.association import Counter, Djnn, Likelihood, Merging, Nearest, Trial
-from kalmap.records import NEW
+from kalmap.records import NEW, SPURIOUS
 
 
 def test_confirmation_and_retirement_by_hand():
@@ -45,6 +45,17 @@ def test_whether_landmarks_hide_each_other_is_learned():
             decide(method, memory, frame(1), predicted)
             assert memory["score"][1] == 1.0 - max(0, number - 16) * misses
         assert memory["hiding"] == ([20.0, 40.0] if misses else [0.0, 0.0])
+
+
+def test_an_undecided_sighting_excuses_only_landmarks_that_it_may_show():
+    """Oracle: counted by hand: between two landmarks it is left unused and neither is missed; one in whose gate (13.8)
+    it does not lie is, though it lies inside the wide gate for new ones (27.6), also if that is why it is unused."""
+    method = Likelihood(ambiguity=4.6, management=Counter(expel=-99, admit=1))
+    memory = memory_of(method, 3)
+    association = decide(method, memory, frame(1), Fake([[1.0, 1.2, 20.0]]))
+    assert association.matched.tolist() == [SPURIOUS] and memory["score"] == [1.0, 1.0, 0.0]
+    association = decide(method, memory, frame(1), Fake([[20.0, 13.9, 27.0]]))
+    assert association.matched.tolist() == [SPURIOUS] and memory["score"] == [0.0, 0.0, -1.0]
 
 
 def test_nobody_is_on_trial_for_ever():

@@ -125,13 +125,16 @@ def test_a_second_lap_among_clutter_adds_nothing(method):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("world", ["clutter-5", "breaker"])
 def test_who_is_on_trial_is_decided_in_time(world, method):
-    """Oracle: the log: whoever is on trial was founded by a sighting of the last `patience` frames, so there can be
-    no more of them than these frames have sightings."""
+    """Oracle: the log: whoever is on trial was founded by a sighting of the last `patience` frames, so its first
+    sighting is one of these and there can be no more of them than these frames have sightings."""
     log, patience = beginning(world, FRAMES), 10
     slam, outcome = taken(log, METHODS[method], patience=patience)
     assert_sound(slam, outcome, FRAMES)
     sizes = [len(event.values) for event in log if isinstance(event, Sightings)]
     assert len(slam._on_trial) <= sum(sizes[-patience - 1 :]) < 0.2 * sum(sizes)
+    frame = np.repeat(np.arange(FRAMES), sizes)
+    founded = {label: frame[outcome.labels_at_once == label].min() for label in slam._on_trial}
+    assert founded and min(founded.values()) >= FRAMES - 1 - patience
 
 
 def test_the_grove_is_seen_by_the_detector_of_trees():

@@ -278,7 +278,6 @@ def doubtful(reason: Reason, second: float, label: int = 1, volume: float = 0.0)
         (doubtful(Reason.NEAREST, 8.0, volume=-3.0), "rival"),
         (doubtful(Reason.NEAREST, 9.3, volume=-9.0), ""),
         (doubtful(Reason.NEAREST, np.nan), ""),
-        (doubtful(Reason.KNOWN, 1.0), ""),
         (doubtful(Reason.FALSE_ALARM, 8.0, SPURIOUS), "rival"),
         (doubtful(Reason.AMBIGUOUS, 8.0, SPURIOUS), "rival"),
         (doubtful(Reason.CONTEST_LOST, 8.0, SPURIOUS), "contest"),

@@ -394,6 +394,10 @@ def test_the_report_reads_every_one_of_them():
     assert all(said) and len(set(said)) == len(said) == 18
     unsaid = judged([1, 1, -1], [0, 0, 1], [0, 1])["association_spurious_landmarks"]
     assert "does not say" in reading("association_spurious_landmarks", unsaid)
+    assert "decided in its frame" in reading("association_accuracy_at_once", 0.5)
+    assert (
+        reading("association_s", 1.5) == "" and reading("association_s", None) == ""
+    )  # its label says it all
     assert metric_of("association_recall").unit == metric_of("association_accuracy_used").unit == "%"
 
 

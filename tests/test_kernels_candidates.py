@@ -238,18 +238,20 @@ def test_hidden_by_sightings_equals_the_geometry():
 
 
 def test_hidden_by_beams_equals_the_geometry():
-    """Oracle: the beam of least angular distance by argmin; outside the swept sector nothing is known: hidden."""
+    """Oracle: the beam of least angular distance by argmin; outside the swept sector nothing is known: hidden. A beam
+    that did not come back hides nothing."""
     rng = np.random.default_rng(2)
     for _ in range(100):
         bearings = np.sort(rng.uniform(-1.5, 1.5, 40))
         ranges = np.where(rng.random(40) < 0.3, np.inf, rng.uniform(1, 20, 40))
+        ranges[rng.random(40) < 0.2] = 0.0  # no return
         landmarks = np.c_[rng.uniform(0, 25, 9), rng.uniform(-1.8, 1.8, 9)]
         out = np.empty(9, bool)
         kernel.hidden_by_beams(ranges, bearings, landmarks, 1.0, out)
         for c, (distance, bearing) in enumerate(landmarks):
             inside = bearings[0] < bearing <= bearings[-1]
             beam = np.abs(bearings - bearing).argmin()
-            assert out[c] == (not inside or ranges[beam] < distance - 1.0)
+            assert out[c] == (not inside or 0.0 < ranges[beam] < distance - 1.0)
 
 
 def test_the_map_takes_the_scan_if_there_is_one():

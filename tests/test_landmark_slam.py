@@ -191,11 +191,12 @@ def test_refused_settings(settings, reason):
     "config",
     [
         RunConfig(association=AssociationConfig(method="dowsing")),
+        RunConfig(association=AssociationConfig(method="nearest", management="guild")),
         RunConfig(motion=MotionConfig(model="tank")),
     ],
 )
 def test_unknown_names_of_a_configuration_made_in_python(config):
     """Oracle: ConfigError; a name that nobody knows must not become some other method quietly."""
     log = simulate(world_by_name("course-35"), 1)
-    with pytest.raises(ConfigError, match=r"dowsing|tank"):
+    with pytest.raises(ConfigError, match=r"dowsing|guild|tank"):
         slam_from_config(config, log)

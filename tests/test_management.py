@@ -11,8 +11,9 @@ import pytest
 from kalmap.association import Counter, Djnn, Existence, Keep, Likelihood, Nearest, Trial
 from kalmap.association.management import Review, Verdict
 from kalmap.models import RangeBearing, VelocitySteering
-from kalmap.records import Odometry, Sightings
+from kalmap.records import AssociationConfig, Odometry, Sightings
 from kalmap.slam import LandmarkSlam
+from kalmap.slam.build import associator_from_config
 from slam_problems import circle_events, copy_belief
 
 REACH = 30.0
@@ -129,6 +130,14 @@ def test_the_counters_bounds_are_settings():
     assert whats(play(Counter(admit=4), [1, 1, 1])) == ["", "", "confirmed"]
     assert whats(play(Counter(expel=-1), [0, 0])) == ["", "retired"]
     assert not Counter(admit=1).tries and Counter(admit=2).tries
+
+
+@pytest.mark.parametrize("name", ["counter", "existence"])
+def test_a_configuration_says_what_detection_is_learned_from(name):
+    """Oracle: by hand: nothing seen yet, so the assumed probability itself."""
+    config = AssociationConfig(method="nearest", management=name, detection=0.6)
+    management = associator_from_config(config).management
+    assert management.detection_at(management.start(), 12.0, REACH) == pytest.approx(0.6)
 
 
 def test_detection_is_learned_by_range():

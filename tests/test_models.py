@@ -143,14 +143,6 @@ def test_sensor_mount_by_hand():
     np.testing.assert_allclose(z, [2.0, 0.0], atol=1e-12)
 
 
-def test_field_of_view():
-    """Oracle: the definition; a margin shrinks range and angle by its share."""
-    sensor = RangeBearing(max_range=10.0, field_of_view=np.pi)
-    landmarks = np.array([[9.5, 0.0], [10.5, 0.0], [-1.0, 0.0], [0.1, 5.0], [-0.1, 5.0], [4.0, 1.0]])
-    np.testing.assert_array_equal(sensor.in_view(np.zeros(3), landmarks, 0.0), [1, 0, 0, 1, 0, 1])
-    np.testing.assert_array_equal(sensor.in_view(np.zeros(3), landmarks, 0.1), [0, 0, 0, 0, 0, 1])
-
-
 @pytest.mark.parametrize("invariant", [False, True])
 @pytest.mark.parametrize("kind", ["next", "next askew", "seen", "new"])
 def test_charts_are_zero_at_the_mean_and_read_leading_entries_only(kind, invariant):

@@ -200,7 +200,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr("kalmap.data.native_map.os.replace", fail)
+    monkeypatch.setattr("kalmap.data.files.os.replace", fail)
     with pytest.raises(OSError, match="disk full"):
         write_map(tmp_path / "m.kalmap", loop_run(1).estimate)
     assert not list(tmp_path.iterdir())

@@ -166,6 +166,28 @@ def test_no_labels_where_association_is_given_or_the_truth_unknown():
     assert len(outcome.labels) == outcome.sightings and len(outcome.truth_ids) == 0
 
 
+def test_a_frame_without_identities_keeps_the_others_in_place():
+    """Oracle: the log's identities, -1 for those of the frame that lost them; none at all where all frames did."""
+    nameless = [
+        Sightings(e.time, e.values) if isinstance(e, Sightings) and k in (1, 9) else e
+        for k, e in enumerate(EVENTS)
+    ]
+    outcome = run(LandmarkSlam(association=Likelihood()), log_of(nameless))
+    truth = [np.full(len(e.values), -1) if e.ids is None else e.ids for e in nameless[1::2]]
+    np.testing.assert_array_equal(outcome.truth_ids, np.concatenate(truth))
+    bare = [Sightings(e.time, e.values) if isinstance(e, Sightings) else e for e in EVENTS]
+    assert len(run(LandmarkSlam(association=Likelihood()), log_of(bare)).truth_ids) == 0
+
+
+def test_a_second_run_counts_its_own_seconds():
+    """Oracle: the filter's own clock, which goes on: the two runs' shares add up to it."""
+    slam = LandmarkSlam(association=Likelihood())
+    first, second = run(slam, log_of(EVENTS[:20])), run(slam, log_of(EVENTS[20:]))
+    assert first.association_seconds > 0.0 and second.association_seconds > 0.0
+    both = first.association_seconds + second.association_seconds
+    assert both == pytest.approx(slam.association_seconds, rel=1e-12)
+
+
 def test_dead_reckoning_is_odometry_alone():
     """Oracle: Bailey's Euler steps of the logged controls, written out."""
     times, poses = run(LandmarkSlam(), log_of(EVENTS)).dead_reckoning

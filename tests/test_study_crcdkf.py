@@ -144,6 +144,8 @@ def test_without_the_map_the_own_course_is_driven_and_every_page_says_so(tmp_pat
     assert claims["comparable"] is False
     verdicts = [claim["verdict"] for claim in claims["claims"]]
     assert verdicts[0] == "not comparable" and verdicts[1] == "not measured"
+    methods = json.loads((tmp_path / "manifest.json").read_text())["config"]["methods"]
+    assert {each["association"]["method"] for each in methods.values()} == {"known"}  # the world's own
     assert set(done.files) >= {"crcdkf.md", "crcdkf.csv", "runs.csv", "claims.json", "report.html"}
     assert all(path.is_file() for path in done.files.values())
     assert len(list((tmp_path / "figures").glob("*.png"))) == 4

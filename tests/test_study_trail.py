@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import msgspec
+import numpy as np
 
 from kalmap.data import open_audit, write_audit
 from kalmap.data.audit import AUDIT
@@ -35,9 +36,25 @@ def test_without_decisions_no_stale_file_is_left(tmp_path):
     write_audit(tmp_path / AUDIT, [easy()], {})
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "association.png").write_bytes(b"old")
-    for empty in (outcome([]), SimpleNamespace()):
-        assert save_trail(tmp_path, empty, manifest()) == (None, None)
+    assert save_trail(tmp_path, outcome([]), manifest()) == (None, None)
     assert not (tmp_path / AUDIT).exists() and not (tmp_path / "figures" / "association.png").exists()
+
+
+def test_of_frames_alike_in_trouble_the_one_that_the_summary_names_is_drawn(tmp_path):
+    """Oracle: the summary, which takes the earlier; the later frame has a sighting more."""
+    few = contest()
+    more = msgspec.structs.replace(
+        few,
+        number=few.number + 1,
+        values=np.vstack([few.values, [9.0, 0.0]]),
+        labels=np.r_[few.labels, SPURIOUS],
+        trial=np.r_[few.trial, False],
+        noises=None,
+        why=msgspec.structs.replace(few.why, reasons=np.r_[few.why.reasons, Reason.NEAREST]),
+    )
+    trail, worst = save_trail(tmp_path, outcome([few, more]), manifest())
+    first, second = trail.summary.worst
+    assert first[2] == second[2] and worst is few and worst.number == first[0]
 
 
 def test_where_nothing_was_in_doubt_the_fullest_frame_is_drawn(tmp_path):

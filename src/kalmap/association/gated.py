@@ -34,7 +34,8 @@ class Table(msgspec.Struct, frozen=True):
 
     sightings: the frame. expected: the candidates (C). trial: (C,) bool, those not confirmed yet. squared,
     normalised: (M, C) distance squared, and that plus ln det S; both with what the attributes add, `extra` (M,
-    C). gate, new_gate: squared distances. in_view: (C,) bool, candidates in the sensor's field of view.
+    C). noises: (M, 2, 2) the sensor's. gate, new_gate: squared distances. in_view: (C,) bool, candidates in the
+    sensor's field of view.
     """
 
     sightings: Sightings
@@ -43,6 +44,7 @@ class Table(msgspec.Struct, frozen=True):
     squared: np.ndarray
     normalised: np.ndarray
     extra: np.ndarray
+    noises: np.ndarray
     gate: float
     new_gate: float
     in_view: np.ndarray
@@ -80,7 +82,9 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     apart two sightings of the same landmark from different sides are beside the sensor's noise, as a standard
     deviation: the size of what is no point. It widens the gates, and mergers force no more than that. ambiguity:
     by how much the next best landmark must be worse in nu' S^-1 nu + ln det S, else a sighting is left unused;
-    0: not asked. patience: frames after which a landmark still on trial is given up. The rest: see the classes.
+    0: not asked. patience: frames after which a landmark still on trial is given up. management: here `Keep`, in `Djnn`
+    `Counter`, in `Mda` `Trial`; a configuration that names none has `Existence`, but for djnn. merging: here none, in
+    a configuration `Merging()`. The rest: see the classes.
     """
 
     gate: float = 0.999
@@ -169,6 +173,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
             squared=squared,
             normalised=squared + log_volume,
             extra=extra,
+            noises=predicted.noises,
             gate=chi_square(self.gate, degrees),
             new_gate=chi_square(max(self.new_gate, self.gate), degrees),
             in_view=self.region.in_view(predicted, expected),
@@ -191,10 +196,10 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
         matched, seen = np.empty(len(fate), dtype=np.int64), np.empty(len(indices), dtype=np.bool_)
         founded = kernel.outcome(columns, fate, indices, matched, seen)
         hidden = table.in_view & predicted.hidden(table.expected)
-        should = table.in_view & ~hidden if _hides(memory["hiding"]) else table.in_view
+        should = table.in_view & ~hidden if self._hides(memory) else table.in_view
         if (fate >= kernel.LOST).any():  # what an undecided sighting may have shown was not missed
             maybe = np.empty(len(indices), dtype=np.bool_)
-            contested_by(table.squared, fate, kernel.LOST, table.new_gate, maybe)
+            contested_by(table.squared, fate, kernel.LOST, table.gate, maybe)
             should = should & (seen | ~maybe)
         reach = self.region.reach(predicted)
         review = Review(indices, seen, should, ~table.trial, table.expected.z[:, 0], reach)
@@ -233,6 +238,14 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
             ),
             why=_explain(table, matching, fate, verdict, retired, suspicion) if predicted.explain else None,
         )
+
+    def _hides(self, memory: Any) -> bool:
+        """Whether this sensor's landmarks hide each other: learned, as bar codes under a ceiling do not and trunks do.
+
+        From how many landmarks behind something were seen all the same, and how many were behind something.
+        """
+        seen, behind = memory["hiding"]
+        return bool(seen <= 0.3 * (behind + _HIDING_PRIOR))
 
     def _expired(self, memory: Any, verdict: Verdict) -> tuple[int, ...]:
         """Landmarks that have been on trial for too long, out of view as a rule: nobody would ever retire them."""
@@ -307,14 +320,6 @@ def _hiding(hidden: np.ndarray, seen: np.ndarray, trial: np.ndarray) -> tuple[fl
         return 0.0, 0.0
     hidden = hidden & ~trial
     return float((seen & hidden).sum()), float(hidden.sum())
-
-
-def _hides(counts: list[float]) -> bool:
-    """Whether this sensor's landmarks hide each other: learned, since bar codes under a ceiling do not and trunks do.
-
-    counts: landmarks behind something that were seen all the same, and all that were behind something.
-    """
-    return counts[0] <= 0.3 * (counts[1] + _HIDING_PRIOR)
 
 
 def _explain(

@@ -75,6 +75,7 @@ class Mda(Gated, frozen=True, kw_only=True, tag=True):
 
     window: frames decided together, 2 or more. detection: P_D. false_rate, new_rate: false sightings and new
     landmarks to be expected in a frame, spread evenly over range and bearing. work: relaxation steps at most.
+    management: here `Trial`, in a configuration what that says.
     """
 
     window: int = 2

@@ -13,38 +13,12 @@ import click
 @click.option("--quiet", "-q", is_flag=True, help="No progress, no summary.")
 def command(out: Path, seed: int, quiet: bool) -> None:
     """Drive the built-in course twice, map its 35 features, and write map, figures and report."""
+    from kalmap.cli.run import command as run_command
     from kalmap.cli.run import run_once
 
-    given = dict.fromkeys(
-        (
-            "scope",
-            "coordinates",
-            "use",
-            "association",
-            "particles",
-            "proposal",
-            "weighting",
-            "management",
-            "detector",
-            "config_file",
-            "robot",
-            "variant",
-        )
-    )
-    code, _ = run_once(
-        "course-35",
-        out,
-        {
-            **given,
-            "pairs": (),
-            "seed": seed,
-            "tolerant": False,
-            "quiet": quiet,
-            "no_figures": False,
-            "audit": True,
-        },
-        None,
-    )
+    words = ["course-35", f"--seed={seed}", *["--quiet"] * quiet]
+    given = run_command.make_context("demo", words).params
+    code, _ = run_once(given.pop("log"), out, given, None)
     if not quiet and code == 0:
         click.echo(f"open {out / 'report.html'}; the map is {out / 'figures' / 'map.png'}")
     click.get_current_context().exit(code)

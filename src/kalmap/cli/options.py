@@ -12,7 +12,7 @@ from kalmap.cli.settings import Settings, merge, parse_pairs, read_config
 
 FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
 
-SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb")
+SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm")
 METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS)
 # settings of the one family that the other has no use for
 _FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management")
@@ -96,9 +96,6 @@ def gather(given: dict[str, Any], several: bool = False) -> tuple[Settings, dict
     ):
         if given[key] is not None:
             flags.setdefault(table, {})[field] = given[key]
-    if given["detector"] is not None:  # the settings of another detector mean nothing to this one
-        own = settings.get("perception") or {}
-        flags["perception"] |= {name: own.get(name) for name in ("max_range", "clearance")}
     if given["seed"] is not None:
         flags["seed"] = given["seed"]
     if given["tolerant"]:
@@ -121,20 +118,18 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     filter_name = method if method in FILTER_NAMES else filter_name
     table = settings.get("finite_set")
     sets = table.get("method") if isinstance(table, dict) else None
-    if method in SET_METHODS:
+    if method in SET_METHODS:  # pmbm begins with a filter
         sets = flags.setdefault("finite_set", {})["method"] = method
     elif filter_name is not None:
         sets = flags.setdefault("finite_set", {})["method"] = None
     if sets is None:
         refuse_for_sets_only(given, filter_name or "a Kalman filter")
         return filter_name
-    for key in _FILTERS_ONLY:
+    for key in _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting"):
         if given.get(key) is not None:
             option = "filter" if key == "filter_name" else key
-            raise click.UsageError(
-                f"--{option} {given[key]} means nothing to {sets}; it is for Kalman filters"
-            )
-    return None
+            raise click.UsageError(f"--{option} {given[key]} means nothing to {sets}")
+    return filter_name
 
 
 def refuse_for_sets_only(given: dict[str, Any], method: str) -> None:

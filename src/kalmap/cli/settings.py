@@ -74,8 +74,12 @@ def merge(base: Settings, over: Settings) -> Settings:
 
 def resolve(defaults: RunConfig, settings: Settings) -> RunConfig:
     """The defaults with settings on top. Raises ConfigError naming an unknown key or a wrong value."""
+    base = msgspec.to_builtins(defaults)
+    own, asked = defaults.perception.detector, settings.get("perception")
+    if isinstance(asked, dict) and asked.get("detector", own) != own:
+        base["perception"] = {}  # the settings of another detector mean nothing to this one
     try:
-        resolved = msgspec.convert(merge(msgspec.to_builtins(defaults), settings), RunConfig, strict=True)
+        resolved = msgspec.convert(merge(base, settings), RunConfig, strict=True)
     except msgspec.ValidationError as problem:
         raise ConfigError(f"configuration: {problem}") from problem
     _check_finite(msgspec.to_builtins(resolved), "$")

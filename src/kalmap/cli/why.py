@@ -92,7 +92,7 @@ def _summary(audit: Audit, result: Path, as_json: bool) -> Frame | None:
 
 
 def _draw(path: Path, frame: Frame | None, as_json: bool) -> None:
-    from kalmap.data.native_map import write_atomically
+    from kalmap.data.files import write_atomically
     from kalmap.records import KalmapError
     from kalmap.view import decision_figure
     from kalmap.view.style import png_bytes
@@ -107,8 +107,6 @@ def _draw(path: Path, frame: Frame | None, as_json: bool) -> None:
 
 
 def _print_json(value: Any) -> None:
-    import msgspec
+    from kalmap.data.files import json_text
 
-    from kalmap.data.native_map import json_ready
-
-    click.echo(msgspec.json.format(msgspec.json.encode(json_ready(value)), indent=2))
+    click.echo(json_text(value), nl=False)

@@ -7,8 +7,6 @@ as sentences. A number that is not known is NULL and comes back as NaN; NaN itse
 
 from __future__ import annotations
 
-import os
-import secrets
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -16,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from kalmap.data.files import moved_into_place
 from kalmap.records import REASONS, Frame, KalmapError, Reason
 from kalmap.records.trail import trouble
 
@@ -120,18 +119,13 @@ def write_audit(path: Path | str, frames: Iterable[Frame], meta: Mapping[str, st
     be written; then the file that was there before is still there.
     """
     path = Path(path)
-    part = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
-        _write(part, frames, meta)
-        with open(part, "r+b") as stream:
-            os.fsync(stream.fileno())
-        os.replace(part, path)
+        with moved_into_place(path) as part:
+            _write(part, frames, meta)
     except sqlite3.IntegrityError as error:
         raise KalmapError(f"{path}: two frames of the audit trail have the same number") from error
     except sqlite3.Error as error:
         raise KalmapError(f"{path}: cannot be written: {error}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _write(path: Path, frames: Iterable[Frame], meta: Mapping[str, str]) -> None:

@@ -8,8 +8,6 @@ the bytes are the same.
 from __future__ import annotations
 
 import io
-import os
-import secrets
 import zipfile
 import zlib
 from pathlib import Path
@@ -18,6 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from kalmap.data.files import json_ready, write_atomically
 from kalmap.records import Estimate, EstimationError, Landmarks, LogError
 
 FORMAT = "kalmap-map"
@@ -167,39 +166,6 @@ def unpack_lower(packed: np.ndarray, n: int) -> np.ndarray:
         covariance[row, : row + 1] = packed[start : start + row + 1]
         covariance[: row + 1, row] = covariance[row, : row + 1]
     return covariance
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a reader sees the old one or all of the new one, whatever happens."""
-    part = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-    try:
-        with open(part, "xb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-
-
-def json_ready(value: Any) -> Any:
-    """Turn structs, arrays and paths into what JSON holds; a number that is not finite becomes None."""
-    if isinstance(value, np.ndarray | np.generic):
-        return json_ready(value.tolist())
-    if isinstance(value, bool) or value is None:
-        return value
-    if isinstance(value, float):
-        return float(value) if np.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): json_ready(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [json_ready(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, msgspec.Struct):
-        return {name: json_ready(getattr(value, name)) for name in value.__struct_fields__}
-    return msgspec.to_builtins(value)
 
 
 def _check_joint(mean: np.ndarray, covariance: np.ndarray, size: int) -> None:

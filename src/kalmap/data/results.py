@@ -15,7 +15,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from kalmap.data.native_map import json_ready, map_bytes, write_atomically
+from kalmap.data.files import json_text, write_atomically
+from kalmap.data.native_map import map_bytes
 from kalmap.records import Estimate, EstimationError, KalmapError, Landmarks, LogError, Manifest, Trace
 
 MANIFEST = "manifest.json"
@@ -69,7 +70,7 @@ def write_result(
         TRAJECTORY_CSV: _trajectory_csv(trace).encode(),
         LANDMARKS_CSV: _landmarks_csv(estimate.landmarks).encode(),
         LANDMARKS_GEOJSON: _landmarks_geojson(estimate).encode(),
-        METRICS: _json(metrics).encode(),
+        METRICS: json_text(metrics).encode(),
         MAP: map_bytes(estimate, provenance),
     }
     check_result_folder(folder)
@@ -99,7 +100,7 @@ def check_result_folder(folder: Path | str) -> None:
 
 def write_manifest(folder: Path | str, manifest: Manifest) -> None:
     """Write `manifest.json` alone, into a folder that exists: for a run that ended without a result."""
-    write_atomically(Path(folder) / MANIFEST, _json(manifest).encode())
+    write_atomically(Path(folder) / MANIFEST, json_text(manifest).encode())
 
 
 def read_manifest(folder: Path | str) -> Manifest:
@@ -187,7 +188,7 @@ def _landmarks_geojson(estimate: Estimate) -> str:
         }
         for identity, position, covariance, sightings, existence in zip(*columns, strict=True)
     ]
-    return _json(
+    return json_text(
         {
             "type": "FeatureCollection",
             "coordinates_frame": "local metres",
@@ -199,11 +200,6 @@ def _landmarks_geojson(estimate: Estimate) -> str:
 
 def _existence(landmarks: Landmarks) -> list[float | None]:
     return [value if np.isfinite(value) else None for value in landmarks.existence.tolist()]
-
-
-def _json(value: Any) -> str:
-    encoded: bytes = msgspec.json.format(msgspec.json.encode(json_ready(value)), indent=2)
-    return encoded.decode() + "\n"
 
 
 def _csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 
 from kalmap.geometry.angles import wrap
+from kalmap.geometry.ellipses import chi_square_quantiles
 
 # least eigenvalue of a correlation matrix that still counts as positive definite
 _FLAT = 1e-12
@@ -90,10 +91,8 @@ def chi2_band(dof: float, runs: int = 1, level: float = 0.95) -> tuple[float, fl
 
 def _quantiles(dof: np.ndarray, level: float) -> np.ndarray:
     """(2, F): the two chi-square quantiles between which a share of `level` lies."""
-    from scipy.special import gammaincinv  # the quantile itself; scipy.stats takes a second to import
-
     tail = (1.0 - level) / 2.0
-    return np.asarray(2.0 * gammaincinv(dof / 2.0, np.array([[tail], [1.0 - tail]])))
+    return np.stack([chi_square_quantiles(tail, dof), chi_square_quantiles(1.0 - tail, dof)])
 
 
 def share_inside(values: np.ndarray, dof: float, runs: int = 1, level: float = 0.95) -> float | None:

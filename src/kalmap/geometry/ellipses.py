@@ -25,9 +25,14 @@ def chi_square(probability: float, degrees: int) -> float:
         return math.inf
     if degrees == 2 or probability <= 0.0:
         return chi_square_2(max(probability, 0.0))
+    return float(chi_square_quantiles(probability, degrees))
+
+
+def chi_square_quantiles(probability: float, degrees: np.ndarray | float) -> np.ndarray:
+    """The chi-square quantiles with these degrees of freedom, any shape; NaN stays NaN."""
     from scipy.special import gammaincinv  # the quantile itself; scipy.stats takes a second to import
 
-    return 2.0 * float(gammaincinv(0.5 * degrees, probability))
+    return np.asarray(2.0 * gammaincinv(0.5 * np.asarray(degrees, dtype=np.float64), probability))
 
 
 def ellipse_axes(covariances: np.ndarray, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:

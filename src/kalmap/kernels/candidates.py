@@ -151,6 +151,7 @@ def hidden_by_beams(ranges, bearings, expected, depth, out):
     """out (C,) bool: the beam that points at the candidate came back from at least `depth` m before it.
 
     bearings: (B,) ascending. A candidate outside the swept sector counts as hidden: the scan says nothing of it.
+    A range of 0 is no return: it hides nothing.
     """
     count = len(bearings)
     for c in range(len(expected)):
@@ -159,4 +160,4 @@ def hidden_by_beams(ranges, bearings, expected, depth, out):
             out[c] = True
             continue
         low = at - 1 if expected[c, 1] - bearings[at - 1] < bearings[at] - expected[c, 1] else at
-        out[c] = ranges[low] < expected[c, 0] - depth
+        out[c] = 0.0 < ranges[low] < expected[c, 0] - depth

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 _TWO_PI = 2.0 * math.pi
+_LEAST = 40.0  # ln of the ratio to the likeliest from which a hypothesis does not count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -78,13 +79,13 @@ def _grow(nu, joint, noises, possible, worth, seed, sets, logs, made):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_probabilities(nu, joint, noises, possible, worth, seeds, out):
-    """Probability of every pair over the hypotheses found, out (M, C); returns how many different ones there were.
+def frame_hypotheses(nu, joint, noises, possible, worth, seeds, sets, logs):
+    """Write the hypotheses found, sets (H, M) candidate or -1 and logs (H,), the likeliest first; returns how many.
 
     nu (M, C, 2): innovations, bearing wrapped. joint (2 C, 2 C): covariance of what is expected of the candidates,
     the sensor's noise left out; noises (M, 2, 2) that noise. possible (M, C) bool. worth (C,): ln(P_D r / ((1 - P_D r)
     c)), c the density of sightings that no candidate explains. seeds: pairs of greatest gain that a hypothesis is
-    grown from.
+    grown from. "No pair at all", of log 0, is among them; H has to be at least seeds min(M, C) + 1.
     """
     count, candidates = possible.shape
     gains = np.full(count * candidates, -math.inf)
@@ -94,38 +95,52 @@ def pair_probabilities(nu, joint, noises, possible, worth, seeds, out):
             if possible[i, j]:
                 gains[i * candidates + j] = _gain(zero, joint, nu[i, j], noises[i], j, worth[j])
     order = np.argsort(-gains, kind="mergesort")
-    most = seeds * min(count, candidates) + 1
-    sets, logs = np.full((most, count), -1, np.int64), np.zeros(most)
+    sets[0], logs[0] = -1, 0.0
     made, seed = 1, np.empty(2, np.int64)
     for k in range(min(seeds, len(order))):
         if gains[order[k]] == -math.inf:
             break
         seed[0], seed[1] = order[k] // candidates, order[k] % candidates
         made = _grow(nu, joint, noises, possible, worth, seed, sets, logs, made)
-    return _pooled(sets, logs, made, out)
+    return _sorted(sets, logs, made)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pooled(sets, logs, made, out):
-    """Add every different hypothesis to the probabilities of its pairs; returns how many there are."""
-    best = logs[:made].max()
-    total, different = 0.0, 0
-    out[:, :] = 0.0
-    for h in range(made):
-        if logs[h] < best - 40.0:
-            continue
+def _sorted(sets, logs, made):
+    """Bring the different ones of the first `made` hypotheses to the front, the likeliest first."""
+    order = np.argsort(-logs[:made], kind="mergesort")
+    from_sets, from_logs = sets[:made].copy(), logs[:made].copy()
+    kept = 0
+    for k in range(made):
+        h = order[k]
+        if from_logs[h] < from_logs[order[0]] - _LEAST:
+            break
         twice = False
-        for g in range(h):
-            if abs(logs[g] - logs[h]) < 1e-6 * (1.0 + abs(logs[h])) and (sets[g] == sets[h]).all():
+        for g in range(kept):
+            if (sets[g] == from_sets[h]).all():
                 twice = True
                 break
-        if twice:
-            continue
-        weight = math.exp(logs[h] - best)
-        total += weight
-        different += 1
-        for i in range(sets.shape[1]):
-            if sets[h, i] >= 0:
-                out[i, sets[h, i]] += weight
-    out /= total
-    return different
+        if not twice:
+            sets[kept], logs[kept] = from_sets[h], from_logs[h]
+            kept += 1
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def view_shares(z, spreads, max_range, half_view, out):
+    """out (C,): probability that what is expected at z (C, 2), with covariance spreads (C, 2, 2), is in view."""
+    for c in range(len(z)):
+        share = 1.0
+        if max_range < math.inf:
+            share *= _below(max_range - z[c, 0], spreads[c, 0, 0])
+        if half_view < math.pi:
+            share *= _below(half_view - abs(z[c, 1]), spreads[c, 1, 1])
+        out[c] = share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _below(distance, variance):
+    """Probability that a Gaussian of that variance lies below an edge at that distance."""
+    if variance <= 0.0:
+        return 1.0 if distance > 0.0 else 0.0
+    return 0.5 * math.erfc(-distance / math.sqrt(2.0 * variance))

@@ -50,6 +50,7 @@ from kalmap.kernels.set_layout import (
 )
 
 _SURE = 6.0  # standard deviations from an edge beyond which it is not felt
+_SUREST = 1.0 - 1e-6  # no thing is sighted more surely: a miss must leave it a weight
 _TWO_PI = 2.0 * math.pi
 
 
@@ -248,17 +249,25 @@ def detection(rules, profile, beams, row):
     share *= profile[low] + (at - low) * (profile[high] - profile[low])
     if len(beams) and _hidden(rules, beams, distance, bearing):
         return 0.0
-    return share
+    return min(share, _SUREST)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _hidden(rules, beams, distance, bearing):
-    """Whether the beam that points at a place came back from well before it, or no beam points there."""
+    """Whether the beam that points at a place came back from well before it, or no beam points there.
+
+    A sweep whose ends are no further apart than two of its beams goes all around.
+    """
     count = len(beams)
-    at = np.searchsorted(beams[:, 0], bearing)
-    if at == 0 or at >= count:
-        return True
-    low = at - 1 if bearing - beams[at - 1, 0] < beams[at, 0] - bearing else at
+    first, last = beams[0, 0], beams[count - 1, 0]
+    bearing = first + (bearing - first) % _TWO_PI
+    if bearing > last:
+        if first + _TWO_PI - last > 2.0 * (last - first) / max(count - 1, 1):
+            return True
+        low = count - 1 if bearing - last < first + _TWO_PI - bearing else 0
+    else:
+        at = min(max(np.searchsorted(beams[:, 0], bearing), 1), count - 1)
+        low = at - 1 if bearing - beams[at - 1, 0] < beams[at, 0] - bearing else at
     return 0.0 < beams[low, 1] < distance - rules[DEPTH]
 
 
@@ -266,7 +275,8 @@ def _hidden(rules, beams, distance, bearing):
 def found(setup, pose, root, z, noise, scratch, component):
     """Fill X, Y and the root of the component that a sighting z (2,) founds, seen from the pose.
 
-    Its covariance is that of the landmark over (pose, range, bearing), by the Jacobian of the inverse sensor.
+    Its covariance is that of the landmark over (pose, range, bearing), by the Jacobian of the inverse sensor; across
+    the ray at least as if it were as far away as the range is uncertain, so that it has a root at the sensor itself.
     """
     angle = pose[2] + z[1] + setup[MOUNT_HEADING]
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -278,7 +288,8 @@ def found(setup, pose, root, z, noise, scratch, component):
     for i in range(3):
         first[i] = root[0, i] - from_y * root[2, i]
         second[i] = root[1, i] + from_x * root[2, i]
-    side_x, side_y = -z[0] * ray_y, z[0] * ray_x
+    arm = max(z[0], s_r)
+    side_x, side_y = -arm * ray_y, arm * ray_x
     first[3], second[3] = ray_x * s_r + side_x * cross, ray_y * s_r + side_y * cross
     first[4], second[4] = side_x * s_b, side_y * s_b
     component[X], component[Y] = pose[0] + from_x, pose[1] + from_y

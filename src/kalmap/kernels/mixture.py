@@ -35,9 +35,10 @@ def _before(first, second):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def by_weight(rows, count):
-    """The order of `count` components, heaviest first: a stable merge of sorted runs, (count,) int64."""
-    order = np.argsort(-rows[:count, WEIGHT], kind="mergesort")
-    for a in range(1, count):  # ties alone are out of place
+    """The order of `count` components, heaviest first, ties by place: (count,) int64."""
+    order = np.argsort(rows[:count, X], kind="mergesort")
+    order = order[np.argsort(-rows[order, WEIGHT], kind="mergesort")]
+    for a in range(1, count):  # what ties in weight and x alone is out of place
         k = a
         while k > 0 and _before(rows[order[k]], rows[order[k - 1]]):
             order[k], order[k - 1] = order[k - 1], order[k]

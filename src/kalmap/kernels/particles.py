@@ -34,7 +34,7 @@ def place(
         return propose(
             setup, rules, profile, beams, pose, root, noise, block, count, z, normal, spread_by, out, left
         )
-    moved(pose, root, normal, out)
+    moved(pose, root, spread_by * normal, out)
     left[:] = 0.0
     return 0.0
 
@@ -70,8 +70,9 @@ def step_particles(
     blocks (S, capacity, COLUMNS) and counts (S,): the maps; slots (N,): whose is whose, each its own by now. poses
     (N, 3): where odometry puts them, on return where they are. root (3, 3): of the motion since the last frame, in
     the body's frame at its end. kind: PHD or BERNOULLI. proposal: BY_MOTION or BY_SIGHTINGS. known_pose: False
-    keeps the motion's covariance in the update of the map, as SRCKF-PHD-SLAM does. normals (N, 3). left (N, 3, 3):
-    root of the covariance that is left of each pose. log_factors (N,), explained (N, M), tallies (N, 2, RINGS): out.
+    keeps the motion's covariance in the update of the map, as SRCKF-PHD-SLAM does. normals (N, 3): standard normal
+    draws, multiplied with spread_by. left (N, 3, 3): root of the covariance that is left of each pose. log_factors
+    (N,), explained (N, M), tallies (N, 2, RINGS): out.
     """
     pose, within = np.empty(3), np.zeros((3, 3))
     for p in range(first, last):

@@ -72,25 +72,51 @@ def world_root(heading, root, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def invert_3(a, out):
-    """Inverse of a symmetric positive definite 3 x 3 matrix, and ln of its determinant."""
-    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
-    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
-    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-    determinant = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
-    out[0, 0], out[0, 1], out[0, 2] = c00, c01, c02
-    out[1, 0], out[1, 1] = c01, a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]
-    out[1, 2] = a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
-    out[2, 0], out[2, 1], out[2, 2] = c02, out[1, 2], a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
-    out /= determinant
-    return math.log(determinant)
+def root_of_inverse(information, factor):
+    """Upper root of the inverse of I + A, A (3, 3) semi-definite, factor factor' = (I + A)^-1; ln det (I + A).
+
+    By the Cholesky factor G of I + A, whose pivots are one at least however much rounding takes: factor = G^-T.
+    """
+    lower = np.zeros((3, 3))
+    log_determinant = 0.0
+    for j in range(3):
+        pivot = information[j, j]
+        for k in range(j):
+            pivot -= lower[j, k] * lower[j, k]
+        pivot = max(pivot, 1.0)
+        log_determinant += math.log(pivot)
+        lower[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, 3):
+            total = information[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            lower[i, j] = total / lower[j, j]
+    factor[:, :] = 0.0
+    for r in range(3):  # row r of G^-1 is column r of the factor
+        for c in range(r + 1):
+            total = 1.0 if r == c else 0.0
+            for k in range(c, r):
+                total -= lower[r, k] * factor[c, k]
+            factor[c, r] = total / lower[r, r]
+    return log_determinant
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pivots(cov, least):
+    """(c11, c21, c22) of an innovation to (c11, c21 / c11, c22 - c21^2 / c11), the last of them least^2 or more."""
+    slope = cov[1] / cov[0]
+    cov[2] = max(cov[2] - slope * cov[1], least * least)
+    cov[1] = slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, spread, information, pull):
     """Add every pair's information (3, 3) and pull (3,) on e at this pose; spread (3, 3): what e still varies by."""
     matrix, by_e = np.empty((2, 5)), np.empty((seen, 2, 3))
-    expected, own = np.empty((seen, 2)), np.empty((seen, 3))  # own: covariance without the pose's part
+    expected, own = (
+        np.empty((seen, 2)),
+        np.empty((seen, 3)),
+    )  # own: covariance without the pose's part, as pivots
     wide, scale = np.empty((seen, 3)), np.empty(seen)
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for j in range(seen):
@@ -113,13 +139,16 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
         own[j, 2] = a1 * a1 + b1 * b1 + cross * cross + s_b * s_b
         for r in range(2):
             for c in range(r + 1):
-                total = 0.0
+                total = own[j, r + c]
                 for k in range(3):
                     for m in range(3):
                         total += by_e[j, r, k] * spread[k, m] * by_e[j, c, m]
-                wide[j, r + c] = own[j, r + c] + total
-        determinant = wide[j, 0] * wide[j, 2] - wide[j, 1] * wide[j, 1]
-        scale[j] = looks[j, DETECTION] * component[WEIGHT] / (2.0 * math.pi * math.sqrt(determinant))
+                wide[j, r + c] = total
+        _pivots(wide[j], s_b)
+        _pivots(own[j], s_b)
+        scale[j] = (
+            looks[j, DETECTION] * component[WEIGHT] / (2.0 * math.pi * math.sqrt(wide[j, 0] * wide[j, 2]))
+        )
     share = np.empty(seen)
     for i in range(len(z)):
         whole = rules[CLUTTER]
@@ -128,10 +157,8 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
             nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
             if nu0 * nu0 > rules[GATE] * wide[j, 0]:
                 continue
-            determinant = wide[j, 0] * wide[j, 2] - wide[j, 1] * wide[j, 1]
-            squared = (
-                wide[j, 2] * nu0 * nu0 - 2.0 * wide[j, 1] * nu0 * nu1 + wide[j, 0] * nu1 * nu1
-            ) / determinant
+            across = nu1 - wide[j, 1] * nu0
+            squared = nu0 * nu0 / wide[j, 0] + across * across / wide[j, 2]
             if squared < rules[GATE]:
                 share[j] = scale[j] * math.exp(-0.5 * squared)
                 whole += share[j]
@@ -139,8 +166,9 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
             if share[j] < 1e-6 * whole:
                 continue
             weight = share[j] / whole
-            determinant = own[j, 0] * own[j, 2] - own[j, 1] * own[j, 1]
-            i00, i01, i11 = own[j, 2] / determinant, -own[j, 1] / determinant, own[j, 0] / determinant
+            i11 = 1.0 / own[j, 2]
+            i01 = -own[j, 1] * i11
+            i00 = 1.0 / own[j, 0] - own[j, 1] * i01
             nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
             for k in range(3):
                 g0 = by_e[j, 0, k] * i00 + by_e[j, 1, k] * i01
@@ -169,7 +197,7 @@ def propose(setup, rules, profile, beams, pose, root, noise, block, count, z, no
             looks[heavy] = looks[j]
             heavy += 1
     e, here = np.zeros(3), pose.copy()
-    information, pull, spread, step = np.eye(3), np.zeros(3), np.eye(3), np.zeros(3)
+    information, pull, factor, spread = np.eye(3), np.zeros(3), np.eye(3), np.eye(3)
     log_determinant = 0.0
     if heavy and len(z):
         for _ in range(_ROUNDS):
@@ -179,27 +207,31 @@ def propose(setup, rules, profile, beams, pose, root, noise, block, count, z, no
             _accumulate(
                 setup, rules, here, root, noise, block, active, looks, heavy, z, spread, information, pull
             )
-            log_determinant = invert_3(information, spread)
+            log_determinant = root_of_inverse(information, factor)
             size = 0.0
             for k in range(3):
-                step[k] = spread[k, 0] * pull[0] + spread[k, 1] * pull[1] + spread[k, 2] * pull[2]
-                size += step[k] * step[k]
-            e += step
+                step = 0.0
+                for m in range(3):
+                    spread[k, m] = 0.0
+                    for n in range(max(k, m), 3):
+                        spread[k, m] += factor[k, n] * factor[m, n]
+                    step += spread[k, m] * pull[m]
+                size += step * step
+                e[k] += step
             moved(pose, root, e, here)
             if size < _SETTLED * _SETTLED:
                 break
-    return _sample(pose, root, e, spread, log_determinant, normal, spread_by, out, left)
+    return _sample(pose, root, e, factor, log_determinant, normal, spread_by, out, left)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sample(pose, root, e, spread, log_determinant, normal, spread_by, out, left):
-    """Draw from N(e, spread) and say what it weighs."""
-    factor = np.linalg.cholesky(spread)
+def _sample(pose, root, e, factor, log_determinant, normal, spread_by, out, left):
+    """Draw from N(e, factor factor'), factor upper triangular, and say what it weighs."""
     drawn = np.empty(3)
     prior, own = 0.0, 0.0
     for k in range(3):
         drawn[k] = e[k]
-        for m in range(k + 1):
+        for m in range(k, 3):
             drawn[k] += spread_by * factor[k, m] * normal[m]
         prior += drawn[k] * drawn[k]
         own += normal[k] * normal[k]
@@ -207,7 +239,7 @@ def _sample(pose, root, e, spread, log_determinant, normal, spread_by, out, left
     product = np.zeros((3, 3))
     for r in range(3):
         for c in range(3):
-            for k in range(c, r + 1):
+            for k in range(min(r, c) + 1):
                 product[r, c] += root[r, k] * factor[k, c]
     world_root(out[2], product, left)
     return -0.5 * prior + 0.5 * spread_by * own - 0.5 * log_determinant

@@ -34,10 +34,6 @@ class SensorModel(Protocol):
         """(M, 2) -> (M, 2, 2) noise of each sighting."""
         ...
 
-    def in_view(self, pose: np.ndarray, landmarks: np.ndarray, margin: float) -> np.ndarray:
-        """(N,) bool: which landmarks the sensor should see; a margin in (0, 1) shrinks the view."""
-        ...
-
 
 class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     """Range and bearing from a sensor mounted at (x m, y m, heading rad) on the vehicle.
@@ -75,12 +71,6 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
         noise[:, 0, 0] = self.sigma_range**2 + (self.ratio_range * z[:, 0]) ** 2
         noise[:, 1, 1] = self.sigma_bearing**2
         return noise
-
-    def in_view(self, pose: np.ndarray, landmarks: np.ndarray, margin: float = 0.0) -> np.ndarray:
-        """(N,) bool."""
-        z = self.predict(pose, landmarks)
-        keep = 1.0 - margin
-        return (z[:, 0] < keep * self.max_range) & (np.abs(z[:, 1]) < keep * 0.5 * self.field_of_view)
 
     def fill(self, setup: np.ndarray) -> None:
         """Write the sensor's part of the kernels' setup vector."""

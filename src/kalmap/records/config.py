@@ -26,7 +26,7 @@ AssociationName = Literal["known", "nearest", "likelihood", "jcbb", "mda", "djnn
 DetectorName = Literal["reflectors", "trees"]
 ManagementName = Literal["keep", "trial", "counter", "existence"]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-SetMethod = Literal["rb-phd", "srckf-phd", "mh-fastslam", "pmb"]
+SetMethod = Literal["rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm"]
 Proposal = Literal["motion", "sightings"]
 Weighting = Literal["empty", "single-feature", "single-cluster", "multi-feature"]
 
@@ -151,11 +151,11 @@ class AssociationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     local: only landmarks near what the sensor sees take part. reliable_range: m, up to which a landmark that is
         there is seen as a rule; None takes the sensor's range.
     interference, widen: djnn only: cases 1 to 3, and the factor on the gate of case 4 (0: never).
-    window: mda only: frames decided together. detection: probability that a landmark in view is seen,
-        false_rate: expected false sightings a frame, new_rate: new landmarks a frame (mda; "existence"
-        estimates the first as it goes).
+    window: mda only: frames decided together. detection: probability that a landmark in view is seen (mda;
+        "existence" and "counter" start from it and learn it as they go). false_rate: expected false sightings a
+        frame, new_rate: new landmarks a frame (mda only).
     work: jcbb only: most nodes of a search.
-    attributes: used as an extra likelihood.
+    attributes: used as an extra likelihood; by jcbb to say which pairs are possible, not in its joint distance.
     """
 
     method: AssociationName = "known"
@@ -201,7 +201,8 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     method: None leaves the run to `filter` and `association`. "rb-phd": probability hypothesis density, EKF components
         (Mullane, Vo & Adams 2011). "srckf-phd": the same by square-root cubature filters (Yan et al. 2015).
         "mh-fastslam": landmarks by most likely association, `branches` hypotheses a particle. "pmb": Poisson
-        multi-Bernoulli, landmarks with identity and probability of existence.
+        multi-Bernoulli, landmarks with identity and probability of existence. "pmbm": the mixture of these in which
+        up to `particles` explanations of the run have a joint Gaussian each, by `filter` and `association`.
     particles: how many. threads: None for one a processor; the answer does not depend on it.
     proposal: "sightings" draws a pose that the frame makes likely, "motion" from odometry alone (as published).
     weighting: what of the map weighs a particle ("rb-phd", "srckf-phd"); None: what the method has by itself.
@@ -253,5 +254,7 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def by_place(self) -> bool:
-        """Whether the run itself decides which landmark each sighting belongs to; sets decide nothing of the kind."""
-        return self.finite_set.method is None and self.association.method != "known"
+        """Whether the run itself says which landmark each sighting belongs to; most sets say nothing of the kind."""
+        if self.finite_set.method is not None:
+            return self.finite_set.method == "pmbm"
+        return self.association.method != "known"

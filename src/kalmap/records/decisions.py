@@ -11,8 +11,6 @@ import numpy as np
 class Reason(IntEnum):
     """Why a sighting went where it went; `REASONS` has the sentence."""
 
-    KNOWN = 0
-    UNIDENTIFIED = 1
     NEAREST = 2
     ASSIGNED = 3
     JOINT = 4
@@ -30,14 +28,12 @@ class Reason(IntEnum):
 
 
 REASONS: dict[int, str] = {
-    Reason.KNOWN: "the log says so",
-    Reason.UNIDENTIFIED: "the log gives no identity",
     Reason.NEAREST: "the nearest landmark inside the gate",
     Reason.ASSIGNED: "part of the best one-to-one assignment inside the gate",
     Reason.JOINT: "part of the largest jointly compatible set",
     Reason.WINDOW: "part of the cheapest assignment over the frames of the window",
     Reason.OFFSET: "the nearest once the offset of the frame was taken off",
-    Reason.WIDENED: "nothing matched, so the gate was widened threefold and the offset of the best pair taken off",
+    Reason.WIDENED: "nothing matched, so the gate was widened and the offset of the best pair taken off",
     Reason.FOUNDED: "outside the gate of every landmark: founds a new one",
     Reason.BETWEEN_GATES: "too far to match and too near to found a new landmark: left unused",
     Reason.CONTEST_LOST: "another sighting of the frame has the landmark: left unused",

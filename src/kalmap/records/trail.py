@@ -18,7 +18,6 @@ _BY_REASON: dict[int, str] = {
     Reason.OFFSET: "offset",
     Reason.WIDENED: "offset",
 }
-_BY_THE_LOG = (Reason.KNOWN, Reason.UNIDENTIFIED)
 
 
 class Trouble(msgspec.Struct, frozen=True):
@@ -82,7 +81,7 @@ def doubts(frame: Frame) -> list[str]:
     "contest": it lost its landmark to another sighting or to joint compatibility. "between gates": too far to match,
     too near to found. "offset": matched only after an offset of the frame was taken off, or after the gate was
     widened. "rival": another landmark than the one it was given lay inside the gate and was nearly as likely
-    (`CLOSE`), or it was left unused with a landmark inside the gate. What the log itself says is never in doubt.
+    (`CLOSE`), or it was left unused with a landmark inside the gate.
     """
     why, labels = frame.why, frame.labels.tolist()
     found = [_BY_REASON.get(reason, "") for reason in why.reasons.tolist()]
@@ -96,7 +95,7 @@ def doubts(frame: Frame) -> list[str]:
             limits[m] = min(limits[m], normalised + CLOSE)
     for (m, landmark), squared, normalised in pairs:
         rival = landmark != labels[m] and squared < why.gate and normalised < limits[m]
-        if rival and not found[m] and why.reasons[m] not in _BY_THE_LOG:
+        if rival and not found[m]:
             found[m] = "rival"
     return found
 

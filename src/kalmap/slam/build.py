@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
@@ -26,16 +26,18 @@ from kalmap.association import (
 from kalmap.association.management import BuiltInManagement
 from kalmap.models.motion import motion_from_config
 from kalmap.models.sensor import sensor_from_config
-from kalmap.perception import Detector, detector_from_config
-from kalmap.records import AssociationConfig, ConfigError, Log, RunConfig
+from kalmap.perception import detector_from_config
+from kalmap.records import AssociationConfig, ConfigError, FiniteSetConfig, Log, RunConfig
+from kalmap.records.config import AssociationName, ManagementName, SetMethod
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.mixture import MixtureSlam
 
-SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb")
-_CARRIED_OUT = ("rb-phd", "srckf-phd", "pmb")
+SET_METHODS: tuple[str, ...] = get_args(SetMethod)
+_CARRIED_OUT = ("rb-phd", "srckf-phd", "pmb", "pmbm")
 WEIGHED_METHODS = ("rb-phd", "srckf-phd")
-ASSOCIATIONS = ("known", "nearest", "likelihood", "jcbb", "mda", "djnn", "pmb")
+ASSOCIATIONS: tuple[str, ...] = get_args(AssociationName)
 
 _OWN_MANAGEMENT = {"djnn": "counter"}
 
@@ -82,36 +84,36 @@ def _management(config: AssociationConfig) -> BuiltInManagement:
     if name == "trial":
         return Trial(confirm=config.confirm, window=config.confirm_window)
     if name == "counter":
-        return Counter(admit=config.confirm)
+        return Counter(detection=config.detection, admit=config.confirm)
     if name == "existence":
         return Existence(detection=config.detection, admit=config.existence)
-    return Keep()
+    if name == "keep":
+        return Keep()
+    known = ", ".join(get_args(ManagementName))
+    raise ConfigError(f"association.management: {name!r} is none of {known}")
 
 
 def check_method(config: RunConfig) -> None:
     """Raise ConfigError where the settings of the method contradict each other."""
     sets = config.finite_set
-    if sets.method is None:
+    if sets.method is None or sets.method == "pmbm":
         resolve_filter(config.filter)
-    elif sets.method not in _CARRIED_OUT:
+    if sets.method is not None and sets.method not in _CARRIED_OUT:
         raise ConfigError(
             f"finite_set.method: {sets.method} is not carried out yet; there are {', '.join(_CARRIED_OUT)}"
         )
-    elif sets.weighting is not None and sets.method not in WEIGHED_METHODS:
+    if sets.method is not None and sets.weighting is not None and sets.method not in WEIGHED_METHODS:
         raise ConfigError(
             f"finite_set.weighting: {sets.method} weighs its particles in one way only; "
             f"{sets.weighting} is for {' and '.join(WEIGHED_METHODS)}"
         )
 
 
-def slam_from_config(
-    config: RunConfig, log: Log, detector: Detector | None = None
-) -> LandmarkSlam | FiniteSetSlam:
-    """The filter for this log. Raises ConfigError where settings contradict each other.
-
-    detector: turns scans into sightings; None builds the one that the configuration names.
-    """
+def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSlam | MixtureSlam:
+    """The estimator for this log. Raises ConfigError where settings contradict each other."""
     check_method(config)
+    if config.finite_set.method == "pmbm":
+        return _mixture(config, log)
     if config.finite_set.method is not None:
         return FiniteSetSlam(
             motion_from_config(config.motion),
@@ -120,7 +122,7 @@ def slam_from_config(
             start=log.start,
             start_covariance=log.start_covariance,
             seed=config.seed,
-            detector=detector or detector_from_config(config.perception),
+            detector=detector_from_config(config.perception),
         )
     lineariser, scope = resolve_filter(config.filter)
     return LandmarkSlam(
@@ -133,5 +135,21 @@ def slam_from_config(
         use=config.filter.use,
         start=log.start,
         start_covariance=log.start_covariance,
-        detector=detector or detector_from_config(config.perception),
+        detector=detector_from_config(config.perception),
     )
+
+
+def _mixture(config: RunConfig, log: Log) -> MixtureSlam:
+    """Explanations side by side, by the filter and the association that are set, with the rates of the sets."""
+    sets = config.finite_set
+    association = msgspec.structs.replace(
+        config.association,
+        method="pmb",
+        detection=min(max(sets.detection, 1e-6), 1.0 - 1e-6),
+        false_rate=max(sets.clutter, 1e-3),
+        new_rate=sets.new_rate,
+    )
+    alone = msgspec.structs.replace(config, association=association, finite_set=FiniteSetConfig())
+    slam = slam_from_config(alone, log)
+    assert isinstance(slam, LandmarkSlam)
+    return MixtureSlam(slam, sets.particles)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from typing import Any
 
 import numpy as np
 
@@ -124,17 +125,15 @@ class LandmarkSlam(MapState):
         try:
             if isinstance(event, Odometry):
                 self._predict(event)
-            elif isinstance(event, Sightings):
-                self._observe(event)
-            elif isinstance(event, Scan):
-                self._observe(self._detect(event))
             elif not isinstance(event, Fix):
-                raise EventError(
-                    f"{type(event).__name__} is no event that this filter knows", time=event.time
-                )
+                self._observe(self.sighted(event))
         except NotPositiveError as problem:
             raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
-        self._time = event.time
+        self.took(event.time)
+
+    def took(self, time: float) -> None:
+        """Note that an event of that time has been taken."""
+        self._time = time
         self._changes += 1
 
     def _predict(self, event: Odometry) -> None:
@@ -148,17 +147,26 @@ class LandmarkSlam(MapState):
         self.step_number += len(event.values)
         self._moved = True
 
-    def _detect(self, scan: Scan) -> Sightings:
-        if self.detector is None:
-            raise EventError("a scan came, but the filter has no detector", time=scan.time)
-        return self.detector(scan)
+    def sighted(self, event: Event) -> Sightings:
+        """A frame as it is, or as it is found in a scan. Raises EventError for anything else."""
+        if isinstance(event, Scan):
+            if self.detector is None:
+                raise EventError("a scan came, but the filter has no detector", time=event.time)
+            return self.detector(event)
+        if not isinstance(event, Sightings):
+            raise EventError(f"{type(event).__name__} is no event that this filter knows", time=event.time)
+        return event
 
-    def _observe(self, frame: Sightings) -> None:
-        """One frame: associate, update, found new landmarks, retire spurious ones."""
+    def noises_of(self, frame: Sightings) -> np.ndarray:
+        """(M, 2, 2) of a frame. Raises EventError or NotPositiveError if it cannot be used."""
         check_frame(frame, self._moved)
         noises, bad = self._engine.noises(frame.values)
         check_sightings(frame, bad)
-        noises = noises if frame.covariance is None else frame.covariance
+        return noises if frame.covariance is None else frame.covariance
+
+    def _observe(self, frame: Sightings) -> None:
+        """One frame: associate, update, found new landmarks, retire spurious ones."""
+        noises = self.noises_of(frame)
         begin = time.perf_counter()
         if self._window is None:
             association = self.association.associate(self._memory, frame, self.predicted(frame, noises))
@@ -183,9 +191,9 @@ class LandmarkSlam(MapState):
         self._settle(association)
         if not self.association.uses_ids:
             self.frame_labels = self._labels_of(association.matched)
-        self.frame_decision = None
-        if before is not None:
-            self.frame_decision = self._decision(association, self._labels_of(association.matched), before)
+        self.frame_decision = (
+            None if before is None else self._decision(association, self.frame_labels, before)
+        )
         self._tidy(association)
 
     def twin(self) -> LandmarkSlam:
@@ -199,6 +207,20 @@ class LandmarkSlam(MapState):
             coordinates=self.coordinates,
             use=self.use,
         )
+
+    def copy(self) -> LandmarkSlam:
+        """A filter of its own in the same state: O(n^2)."""
+        twin = self.twin()
+        twin.detector, twin.explain = self.detector, self.explain
+        twin.restore(self.snapshot())
+        twin._time, twin._moved, twin._changes = self._time, self._moved, self._changes
+        twin.step_number = self.step_number
+        return twin
+
+    @property
+    def memory(self) -> Any:
+        """What the associator remembers."""
+        return self._memory
 
     @property
     def attribute_names(self) -> tuple[str, ...]:

@@ -103,10 +103,15 @@ class MapState:
         """Apply matched sightings, and tell the index how far that moved the map. Returns the NIS."""
         belief = self._belief
         indices = np.array([belief.robot + 2 * matched[m] for m in used], dtype=np.int64)
-        before = belief.mean[belief.robot : belief.n].copy()
+        before = self._filed().copy()
         nis = self._engine.update(belief, *_pick(z, used), indices, *_pick(noises, used))
-        self._index.moved(_furthest(before, belief.mean[belief.robot : belief.n]))
+        self._index.moved(_furthest(before, self._filed()))
         return nis
+
+    def _filed(self) -> np.ndarray:
+        """x, y, x, y, ... m of the landmarks whose moves the index has to be told of."""
+        belief = self._belief
+        return belief.mean[belief.robot : belief.robot + 2 * self._index.filed]
 
     def _settle(self, association: Association) -> None:
         """Bring the associator's memory up to the frame, and believe whom it believes now."""
@@ -126,10 +131,10 @@ class MapState:
     def _merge(self, keep: int, drop: int) -> None:
         """Two landmarks become one: what was known of each is known of it."""
         belief = self._belief
-        before = belief.mean[belief.robot : belief.n].copy()
+        before = self._filed().copy()
         extent = getattr(self.association, "extent", 0.0)
         self._engine.merge(belief, belief.robot + 2 * keep, belief.robot + 2 * drop, extent)
-        self._index.moved(_furthest(before, belief.mean[belief.robot : belief.n]))
+        self._index.moved(_furthest(before, self._filed()))
         self._counts[keep] += self._counts[drop]
         self.merged[self._ids[drop]] = self._ids[keep]
 

@@ -136,11 +136,7 @@ class PredictedMap:
 
     def distances(self, expected: Expected) -> tuple[np.ndarray, np.ndarray]:
         """Mahalanobis distance squared and ln det S of every sighting with every candidate: two (M, C)."""
-        shape = (len(self._z), len(expected.indices))
-        squared, log_volume = np.empty(shape), np.empty(shape)
-        if kernel.distances(self._z, self._noises, expected.z, expected.spreads, squared, log_volume):
-            raise NotPositiveError("the innovation covariance is not positive definite")
-        return squared, log_volume
+        return distances_between(self._z, self._noises, expected)
 
     def cross(self, expected: Expected) -> np.ndarray:
         """(C, C, 2, 2) covariances between the candidates' expected sightings, sensor noise left out."""
@@ -173,6 +169,15 @@ class PredictedMap:
         else:
             kernel.hidden_by_beams(scan.ranges, scan.bearings, expected.z, _HIDING_DEPTH, out)
         return out
+
+
+def distances_between(z: np.ndarray, noises: np.ndarray, expected: Expected) -> tuple[np.ndarray, np.ndarray]:
+    """Mahalanobis distance squared and ln det S of sightings (M, 2) with candidates (C): two (M, C)."""
+    shape = (len(z), len(expected.indices))
+    squared, log_volume = np.empty(shape), np.empty(shape)
+    if kernel.distances(z, noises, expected.z, expected.spreads, squared, log_volume):
+        raise NotPositiveError("the innovation covariance is not positive definite")
+    return squared, log_volume
 
 
 def _in_the_plane(z: np.ndarray, spreads: np.ndarray, heading: float) -> np.ndarray:

@@ -19,15 +19,31 @@ class Slam(Protocol):
     frame_used: how many sightings it is of. explain: keep the reasons of a frame's association in frame_decision.
     """
 
-    labels: bool
     explain: bool
-    frame_nis: float
-    frame_used: int
-    frame_sightings: Sightings | None
-    frame_labels: np.ndarray
-    frame_decision: Frame | None
-    frame_revisions: Revisions
-    association_seconds: float
+
+    @property
+    def labels(self) -> bool: ...
+
+    @property
+    def frame_nis(self) -> float: ...
+
+    @property
+    def frame_used(self) -> int: ...
+
+    @property
+    def frame_sightings(self) -> Sightings | None: ...
+
+    @property
+    def frame_labels(self) -> np.ndarray: ...
+
+    @property
+    def frame_decision(self) -> Frame | None: ...
+
+    @property
+    def frame_revisions(self) -> Revisions: ...
+
+    @property
+    def association_seconds(self) -> float: ...
 
     @property
     def motion(self) -> MotionModel: ...

@@ -52,8 +52,13 @@ class LandmarkIndex:
         self._keys = keys[self._order]
         self._filed, self._moved = count, 0.0
 
+    @property
+    def filed(self) -> int:
+        """How many landmarks, the first ones, are filed: whose moves have to be told."""
+        return self._filed
+
     def moved(self, distance: float) -> None:
-        """Say how far (m) the last correction moved any landmark at most."""
+        """Say how far (m) the last correction moved any filed landmark at most."""
         self._moved += distance
 
     def removed(self, index: int) -> None:

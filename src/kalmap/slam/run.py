@@ -37,11 +37,11 @@ class Outcome(msgspec.Struct, frozen=True):
     frames: how many frames of sightings came; sightings: how many sightings they held; runtime: s inside the filter.
     labels: for each sighting the landmark that it belongs to in the end (SPURIOUS: none): mergers followed, landmarks
     never confirmed left out; labels_at_once: as it was decided in its frame (or window);
-    truth_ids: the identity that the log gives it; times (K,) s and values (K, 2) of the sightings themselves.
-    All four are empty where association was given, truth_ids also where the log has none. association_seconds:
-    s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if it was asked
-    for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for. course: of the map, where it is a
-    random finite set.
+    truth_ids: the identity that the log gives it, -1 where a frame has none; times (K,) s and values (K, 2) of the
+    sightings themselves. All four are empty where association was given, truth_ids also where the log has none.
+    association_seconds: s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if
+    it was asked for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for. course: of the map,
+    where it is a random finite set.
     """
 
     estimate: Estimate
@@ -172,7 +172,10 @@ class _Loop:
         self.skipped: list[Skipped] = []
         self.truth: list[np.ndarray] = []
         self.labels: list[np.ndarray] = []
-        self.seen: list[Sightings] = []
+        self.named = False  # whether any frame came with identities
+        self.times: list[np.ndarray] = []
+        self.values: list[np.ndarray] = []
+        self.associated = slam.association_seconds  # before this run
         self.decisions: list[Frame] = []
         self.scored = slam.labels
         self.keeper = CourseKeeper(slam) if isinstance(slam, FiniteSetSlam) else None
@@ -203,12 +206,12 @@ class _Loop:
             self.runtime += seconds
             self.recorder.frame(seconds)
             self.frames += 1
-            self._count(event)
+            self._count()
             if self.keeper is not None:
                 self.keeper.frame()
             self.recorder.row(self.slam, self.slam.frame_nis, self.slam.frame_used, self._reckoned())
 
-    def _count(self, event: Sightings | Scan) -> None:
+    def _count(self) -> None:
         seen = self.slam.frame_sightings
         assert seen is not None
         self.sightings += len(seen.values)
@@ -221,10 +224,12 @@ class _Loop:
         if self.slam.frame_decision is not None:
             self.decisions.append(self.slam.frame_decision)
         if self.scored:
-            self.seen.append(seen)
+            many = len(seen.values)
+            self.times.append(np.full(many, seen.time))
+            self.values.append(seen.values)
             self.labels.append(self.slam.frame_labels)
-            if self.log.truth_ids and seen.ids is not None:
-                self.truth.append(seen.ids)
+            self.truth.append(np.full(many, -1, dtype=np.int64) if seen.ids is None else seen.ids)
+            self.named |= self.log.truth_ids and seen.ids is not None
 
     def _reckoned(self) -> np.ndarray:
         return self.slam.pose if self.reckoner is None else self.reckoner.pose
@@ -255,15 +260,12 @@ class _Loop:
             runtime=self.runtime,
             skipped=self.skipped,
             skipped_total=self.skipped_total,
-            truth_ids=np.concatenate(self.truth) if self.truth else np.zeros(0, dtype=np.int64),
+            truth_ids=np.concatenate(self.truth) if self.named else np.zeros(0, dtype=np.int64),
             labels=self.slam.settled_labels(at_once),
             labels_at_once=at_once,
-            times=np.repeat(
-                np.array([seen.time for seen in self.seen]),
-                np.array([len(seen.values) for seen in self.seen], dtype=np.int64),
-            ),
-            values=np.concatenate([seen.values for seen in self.seen]) if self.seen else np.zeros((0, 2)),
-            association_seconds=self.slam.association_seconds,
+            times=np.concatenate(self.times) if self.times else np.zeros(0),
+            values=np.concatenate(self.values) if self.values else np.zeros((0, 2)),
+            association_seconds=self.slam.association_seconds - self.associated,
             decisions=self.decisions,
             dead_reckoning=reckoned,
             course=None if self.keeper is None else self.keeper.course(),

@@ -11,10 +11,10 @@ import numpy as np
 from kalmap.association import Expected
 from kalmap.association.assignment import Assigned
 from kalmap.association.mda import UNUSED, Glance, Key, Mda
-from kalmap.gaussian import Belief, NotPositiveError
-from kalmap.kernels import candidates as kernel
+from kalmap.gaussian import Belief
 from kalmap.records import NEW, SPURIOUS, Association, ConfigError, Frame, Odometry, Sightings
 from kalmap.slam.map_state import MapRecord
+from kalmap.slam.predicted import distances_between
 
 if TYPE_CHECKING:
     from kalmap.slam.landmark import LandmarkSlam
@@ -164,13 +164,10 @@ class Window:
 
     def _link(self, entry: Pending, frame: Sightings, noises: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(M_earlier, M) squared distances and ln det S of sightings from where earlier ones point."""
-        tracks, z = entry.tracks, frame.values
-        indices = np.arange(len(entry.frame.values))
+        tracks, indices = entry.tracks, np.arange(len(entry.frame.values))
         expected = Expected(indices, *self.slam._engine.expect(tracks, tracks.robot + 2 * indices))
         expected = expected.widened(self.association.extent)
-        squared, log_volume = np.empty((len(z), len(indices))), np.empty((len(z), len(indices)))
-        if kernel.distances(z, noises, expected.z, expected.spreads, squared, log_volume):
-            raise NotPositiveError("the innovation covariance of two sightings is not positive definite")
+        squared, log_volume = distances_between(frame.values, noises, expected)
         return squared.T + self.association.told_apart(entry.frame, frame), log_volume.T
 
 

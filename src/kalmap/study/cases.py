@@ -163,7 +163,7 @@ def run_case(case: Case) -> RunRecord:
     if case.keep_joint:
         mean, covariance = outcome.estimate.joint()
         joint = Joint(mean.tolist(), covariance.tolist())
-    metrics["association_ms"] = _association_ms(outcome, config)
+    metrics["association_ms"] = association_ms(outcome, config)
     kept = {key: metrics.get(key) for key in METRICS}
     return RunRecord(*names, kept, *_curves(outcome, log), joint=joint, sets=_set_record(judged))
 
@@ -176,7 +176,8 @@ def _set_record(judged: JudgedCourse | None) -> SetRecord | None:
     return SetRecord(judged.times.tolist(), *(column.tolist() for column in columns))
 
 
-def _association_ms(outcome: Outcome, config: RunConfig) -> float | None:
+def association_ms(outcome: Outcome, config: RunConfig) -> float | None:
+    """Time of the association for a frame; None where it was given, or no frame came."""
     if not config.by_place or not outcome.frames:
         return None
     return 1e3 * outcome.association_seconds / outcome.frames

@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 
 from kalmap.evaluation import PairedTest
-from kalmap.perception import Detector
 from kalmap.records import AssociationConfig, ConfigError, KalmapError, Log, RunConfig
 from kalmap.simulate import World
 from kalmap.slam import Outcome, run, slam_from_config
@@ -50,7 +49,6 @@ def compare_methods(
     methods: Sequence[Method],
     *,
     config: RunConfig | None = None,
-    detector: Detector | None = None,
     tolerant: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Compared]:
@@ -63,7 +61,7 @@ def compare_methods(
     base = config or log.defaults
     results = []
     for method in methods:
-        results.append(_one(log, method.name, method.on(base), detector, tolerant, progress))
+        results.append(_one(log, method.name, method.on(base), tolerant, progress))
         outcome = results[-1].outcome
         if outcome is not None and outcome.interrupted:
             break
@@ -74,12 +72,11 @@ def _one(
     log: Log,
     name: str,
     config: RunConfig,
-    detector: Detector | None,
     tolerant: bool,
     progress: Callable[[str, float], None] | None,
 ) -> Compared:
     try:
-        slam = slam_from_config(config, log, detector)
+        slam = slam_from_config(config, log)
     except KalmapError as problem:
         return Compared(name, config, None, None, problem)
     tell = None if progress is None else lambda reached: progress(name, reached)

@@ -40,7 +40,7 @@ def parse_method(
     label = text.strip().lower()
     name, *suffixes = label.split(":")
     if name in SET_METHODS:
-        said = _said(text, suffixes, _SET_SUFFIXES)
+        said = _said(text, suffixes, _SET_SUFFIXES if name != "pmbm" else {})
         if name not in WEIGHED_METHODS:
             said.setdefault("weighting", None)
         sets = msgspec.structs.replace(finite_set or FiniteSetConfig(), method=name, **said)

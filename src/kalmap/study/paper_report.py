@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 import kalmap
-from kalmap.data.native_map import json_ready, write_atomically
+from kalmap.data.files import json_ready, json_text, write_atomically
 from kalmap.records import Manifest
 from kalmap.study.cases import Case
 from kalmap.study.claims import Claim, claims_markdown, claims_table, tally
@@ -144,8 +144,8 @@ class PaperReport(msgspec.Struct, frozen=True):
             f"{name}.md": self.markdown(),
             f"{name}.csv": summary_csv(result),
             "runs.csv": runs_csv(result),
-            "claims.json": _json({**facts, "warnings": self.warnings, "claims": self.claims}),
-            "manifest.json": _json(manifest),
+            "claims.json": json_text({**facts, "warnings": self.warnings, "claims": self.claims}),
+            "manifest.json": json_text(manifest),
             "report.html": page,
         }
         for file, text in texts.items():
@@ -173,7 +173,7 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         name: {key: value for key, value in world.items() if key not in ("landmarks", "waypoints")}
         for name, world in worlds.items()
     }
-    methods = {case.method.name: case.method for case in cases}
+    methods = {case.method.name: case.config() for case in cases}
     return Manifest(
         kalmap=kalmap.__version__,
         python=platform.python_version(),
@@ -191,11 +191,11 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
             "seeds": sorted({case.seed for case in cases}),
             "methods": {
                 name: {
-                    "filter": json_ready(method.filter),
-                    "association": json_ready(method.association),
-                    "finite_set": json_ready(method.finite_set),
+                    "filter": json_ready(config.filter),
+                    "association": json_ready(config.association),
+                    "finite_set": json_ready(config.finite_set),
                 }
-                for name, method in methods.items()
+                for name, config in methods.items()
             },
             "worlds": settings,
         },
@@ -221,8 +221,3 @@ def _number(value: float | None, decimals: int | None = None) -> str:
     if decimals is not None:
         return f"{value:.{decimals}f}"
     return f"{value:.4g}" if abs(value) < 0.1 else f"{value:.3f}"
-
-
-def _json(value: Any) -> str:
-    encoded: bytes = msgspec.json.format(msgspec.json.encode(json_ready(value)), indent=2)
-    return encoded.decode() + "\n"

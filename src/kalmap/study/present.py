@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from kalmap._version import __version__
-from kalmap.data.native_map import write_atomically
+from kalmap.data.files import json_text, write_atomically
 from kalmap.data.results import check_result_folder, write_manifest, write_result
 from kalmap.evaluation import consistency, trajectory
 from kalmap.geometry.alignment import apply
@@ -51,7 +51,13 @@ def method_label(config: RunConfig) -> str:
         number = f"{sets.particles} particle{'s' * (sets.particles > 1)}"
         proposal = ", motion proposal" if sets.proposal == "motion" else ""
         weighting = f", {sets.weighting} weighting" if sets.weighting else ""
-        return f"{sets.method}, {number}{proposal}{weighting}"
+        if sets.method != "pmbm":
+            return f"{sets.method}, {number}{proposal}{weighting}"
+        return f"pmbm of {sets.particles}, {_filter_label(config)}"
+    return _filter_label(config)
+
+
+def _filter_label(config: RunConfig) -> str:
     chosen = config.filter
     scope = f", {chosen.scope}" if chosen.scope else ""
     use = ", sequential" if chosen.use == "sequential" else ""
@@ -224,7 +230,7 @@ def save_comparison(
             result.outcome, log, result.config, " ".join(sys.argv), started
         )
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / "metrics.json", _json(metrics))
+    write_atomically(folder / "metrics.json", json_text(metrics).encode())
     if manifests:
         first = next(iter(manifests.values()))
         configs = {name: one.config for name, one in manifests.items()}
@@ -242,7 +248,3 @@ def save_comparison(
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics
-
-
-def _json(value: object) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"

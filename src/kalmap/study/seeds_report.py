@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kalmap.data.native_map import write_atomically
+from kalmap.data.files import write_atomically
 from kalmap.study.compare import PairedRow, paired_rows
 from kalmap.study.result import StudyResult, runs_csv, summary_csv
 from kalmap.view import StudyRow, StudyTable, render_study, save_figures, study_figure

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 import kalmap
-from kalmap.data.native_map import json_ready, write_atomically
+from kalmap.data.files import json_ready, write_atomically
 from kalmap.study.cases import CURVE_POINTS, Case, RunRecord
 
 _FORMAT = "kalmap-study-run/1"

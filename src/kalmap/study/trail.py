@@ -8,7 +8,6 @@ from pathlib import Path
 from kalmap.data.audit import AUDIT, write_audit
 from kalmap.data.audit_read import open_audit
 from kalmap.records import Frame, Manifest
-from kalmap.records.trail import trouble
 from kalmap.slam import Outcome
 from kalmap.view import Trail
 
@@ -21,7 +20,7 @@ def save_trail(folder: Path, outcome: Outcome, manifest: Manifest) -> tuple[Trai
     Returns what the report says of it, and the frame to draw: the one with the most trouble, or where nothing was in
     doubt the one with the most sightings. Both None without a trail.
     """
-    frames: list[Frame] = getattr(outcome, "decisions", [])
+    frames = outcome.decisions
     (folder / "figures" / f"{FIGURE}.png").unlink(missing_ok=True)
     if not frames:
         (folder / AUDIT).unlink(missing_ok=True)
@@ -30,5 +29,9 @@ def save_trail(folder: Path, outcome: Outcome, manifest: Manifest) -> tuple[Trai
     write_audit(folder / AUDIT, frames, {**about, "started": manifest.started})
     with open_audit(folder) as audit:
         summary = audit.summary()
-    worst = max(frames, key=lambda one: (trouble(one).total, len(one.values), -one.number))
+    if summary.worst:  # the one that the report and `kalmap why` name first
+        number = summary.worst[0][0]
+        worst = next(frame for frame in frames if frame.number == number)
+    else:
+        worst = max(frames, key=lambda frame: len(frame.values))
     return Trail(summary, AUDIT, f"kalmap why {shlex.quote(str(folder))}"), worst

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from kalmap.geometry.ellipses import chi_square_quantiles
+
 
 def chi_square_band(dof: np.ndarray | float, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """The central interval that holds `probability` of a chi-square variable: lower and upper bounds.
 
-    dof: degrees of freedom, any shape; NaN where it is not positive. The quantile with k degrees of
-    freedom at p is twice the inverse of the regularised incomplete gamma function with k / 2 at p.
+    dof: degrees of freedom, any shape; NaN where it is not positive.
     """
-    from scipy.special import gammaincinv
-
     dof = np.asarray(dof, dtype=np.float64)
-    half = np.where(dof > 0, dof, np.nan) / 2.0
-    tail = (1.0 - probability) / 2.0
-    return 2.0 * gammaincinv(half, tail), 2.0 * gammaincinv(half, 1.0 - tail)
+    dof, tail = np.where(dof > 0, dof, np.nan), (1.0 - probability) / 2.0
+    return chi_square_quantiles(tail, dof), chi_square_quantiles(1.0 - tail, dof)
 
 
 def shares(

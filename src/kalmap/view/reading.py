@@ -47,6 +47,10 @@ _SPELT |= {
 # The first entry whose words are all in the key gives the explanation.
 _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
     (
+        frozenset({"association", "once"}),
+        "The same, each sighting judged by what was decided in its frame.",
+    ),
+    (
         frozenset({"association", "accuracy", "used"}),
         "Of the sightings that were used, how many went where they belong.",
     ),
@@ -63,7 +67,7 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
         "Of the pairs of sightings of one landmark, how many were given to one.",
     ),
     (frozenset({"association", "f1"}), "Precision and recall of the pairs in one number: 1 is right."),
-    (frozenset({"association"}), "The log does not say which sightings are of no landmark."),
+    (frozenset({"association", "spurious"}), "The log does not say which sightings are of no landmark."),
     (frozenset({"dead", "reckoning"}), "The same for the odometry alone: what the landmarks are worth."),
     (frozenset({"ate", "aligned"}), "Distance from the reference path, both laid over each other first."),
     (frozenset({"ate"}), "Distance from the reference path, over the whole run."),

@@ -1,0 +1,250 @@
+"""A Poisson multi-Bernoulli mixture: several explanations of the whole run at once, each with a joint Gaussian.
+
+Where a frame leaves a pair in doubt that would move the robot, at a loop's closing above all, every likely answer is
+followed by a filter of its own, and the frames that come weigh them; a wrong closing dies when it foresees what is
+not there. Most frames are not in doubt and cost one filter's update.
+"""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from kalmap.association import Pmb
+from kalmap.gaussian import NotPositiveError
+from kalmap.geometry.angles import wrap
+from kalmap.models import MotionModel, SensorModel
+from kalmap.records import ConfigError, Estimate, EstimationError, Event, Fix, Frame, Odometry, Sightings
+from kalmap.slam.checks import check_time
+from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.window import Revisions
+
+_LIGHT = 1e-3  # share of the whole below which a hypothesis is given up
+_ALIKE = 0.3  # squared distance of two poses within which hypotheses with as many landmarks are one
+_NARROW = 1.5  # by how much the larger of two variances may be so
+
+
+Told = tuple[np.ndarray, Frame | None]
+
+
+class Hypothesis(msgspec.Struct):
+    """One explanation of the run: a filter, ln of its weight, and what it made of each frame: labels and decision."""
+
+    slam: LandmarkSlam
+    log_weight: float
+    past: list[Told]
+
+
+class MixtureSlam:
+    """Landmark SLAM that keeps up to `most` explanations of what it has seen. slam: the filter that each begins as,
+    with `Pmb` for its association.
+
+    What it says is what its likeliest explanation says; when that changes, frame_revisions tells the labels of the
+    frames that are seen otherwise now. weights: of the explanations, the likeliest first.
+    """
+
+    def __init__(self, slam: LandmarkSlam, most: int = 10) -> None:
+        if not isinstance(slam.association, Pmb):
+            raise ConfigError("finite_set.method: pmbm takes the association pmb")
+        if most < 1:
+            raise ConfigError(f"finite_set.particles: at least 1 is needed, not {most}")
+        self.most = most
+        self._hypotheses = [Hypothesis(slam, 0.0, [])]
+        self.labels = True
+        self.explain = False
+        self.frame_revisions: Revisions = {}
+        self.association_seconds = 0.0
+        self.split_frames = 0
+        self._begun = slam.frames_taken
+
+    # --- the filter -------------------------------------------------------------------------------------------
+
+    def step(self, event: Event) -> None:
+        """Take one event. One that cannot be used raises EventError and changes nothing."""
+        if isinstance(event, (Odometry, Fix)):
+            for hypothesis in self._hypotheses:
+                hypothesis.slam.step(event)
+            return
+        first = self._first.slam
+        check_time(event, first.time)
+        try:
+            frame = first.sighted(event)
+            self._observe(frame, first.noises_of(frame))
+        except NotPositiveError as problem:
+            raise EstimationError(f"step {first.step_number}, t = {event.time:.6g} s: {problem}") from problem
+
+    def _observe(self, frame: Sightings, noises: np.ndarray) -> None:
+        before = self._first.past
+        grown: list[Hypothesis] = []
+        for hypothesis in self._hypotheses:
+            hypothesis.slam.explain = self.explain
+            grown += self._explained(hypothesis, frame, noises)
+        self._hypotheses = _pruned(_joined(_sorted(grown)), self.most)
+        self.split_frames += len(grown) > len(self._hypotheses) or len(grown) > 1
+        self.frame_revisions = _revisions(before, self._first.past, self._begun)
+
+    def _explained(self, hypothesis: Hypothesis, frame: Sightings, noises: np.ndarray) -> list[Hypothesis]:
+        """What becomes of one explanation: itself with the likeliest answer, and a copy for each other."""
+        slam = hypothesis.slam
+        association = slam.association
+        assert isinstance(association, Pmb)
+        options = association.options(slam.memory, frame, slam.predicted(frame, noises), self.most)
+        slams = [slam, *(slam.copy() for _ in options[1:])]
+        grown = []
+        for each, option in zip(slams, options, strict=True):
+            each.take_decided(frame, noises, option.association)
+            each.took(frame.time)
+            told = each.frame_labels, each.frame_decision
+            past = [*hypothesis.past, told] if len(slams) > 1 else hypothesis.past
+            if len(slams) == 1:
+                past.append(told)
+            grown.append(Hypothesis(each, hypothesis.log_weight + option.log_likelihood, past))
+        return grown
+
+    def twin(self) -> MixtureSlam:
+        """A fresh estimator with the same settings, at the origin."""
+        return MixtureSlam(self._first.slam.twin(), self.most)
+
+    # --- what it says -----------------------------------------------------------------------------------------
+
+    @property
+    def _first(self) -> Hypothesis:
+        return self._hypotheses[0]
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(H,) of the explanations, the likeliest first."""
+        logs = np.array([hypothesis.log_weight for hypothesis in self._hypotheses])
+        weights = np.exp(logs - logs.max())
+        return np.asarray(weights / weights.sum())
+
+    @property
+    def motion(self) -> MotionModel:
+        return self._first.slam.motion
+
+    @property
+    def sensor(self) -> SensorModel:
+        return self._first.slam.sensor
+
+    @property
+    def attribute_names(self) -> tuple[str, ...]:
+        """Which attributes of sightings its association reads."""
+        return self._first.slam.attribute_names
+
+    @property
+    def time(self) -> float:
+        """Time of the last event, s; -inf before the first."""
+        return self._first.slam.time
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(3,) of the likeliest explanation."""
+        return self._first.slam.pose
+
+    @property
+    def pose_covariance(self) -> np.ndarray:
+        """(3, 3) about the likeliest explanation's pose: its own, and what the others differ from it by."""
+        own = self._first.slam.pose_covariance
+        if len(self._hypotheses) == 1:
+            return own
+        whole, pose = np.zeros((3, 3)), self.pose
+        for weight, hypothesis in zip(self.weights.tolist(), self._hypotheses):
+            off = hypothesis.slam.pose - pose
+            off[2] = wrap(off[2])
+            whole += weight * (hypothesis.slam.pose_covariance + np.outer(off, off))
+        return whole
+
+    @property
+    def landmark_count(self) -> int:
+        """How many landmarks the likeliest explanation holds."""
+        return self._first.slam.landmark_count
+
+    @property
+    def frames_taken(self) -> int:
+        """How many frames of sightings were taken."""
+        return self._first.slam.frames_taken
+
+    @property
+    def frame_nis(self) -> float:
+        """Of the likeliest explanation."""
+        return self._first.slam.frame_nis
+
+    @property
+    def frame_used(self) -> int:
+        """Of the likeliest explanation."""
+        return self._first.slam.frame_used
+
+    @property
+    def frame_sightings(self) -> Sightings | None:
+        """The last frame."""
+        return self._first.slam.frame_sightings
+
+    @property
+    def frame_labels(self) -> np.ndarray:
+        """(M,) of the last frame, by the likeliest explanation."""
+        return self._first.slam.frame_labels
+
+    @property
+    def frame_decision(self) -> Frame | None:
+        """Why, if it was asked for."""
+        return self._first.slam.frame_decision
+
+    def settled_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Labels as the likeliest explanation has them now."""
+        return self._first.slam.settled_labels(labels)
+
+    def estimate(self) -> Estimate:
+        """A snapshot of the likeliest explanation; the pose's covariance holds what the others differ by."""
+        return msgspec.structs.replace(self._first.slam.estimate(), covariance=self.pose_covariance)
+
+
+def _sorted(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """The likeliest first, their logs relative to it."""
+    best = max(hypothesis.log_weight for hypothesis in hypotheses)
+    for hypothesis in hypotheses:
+        hypothesis.log_weight -= best
+    return sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_weight)
+
+
+def _joined(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """One for those that have come to say the same: the heavier takes the lighter one's weight."""
+    kept: list[Hypothesis] = []
+    for hypothesis in hypotheses:
+        for other in kept:
+            if _alike(other.slam, hypothesis.slam):
+                other.log_weight = float(np.logaddexp(other.log_weight, hypothesis.log_weight))
+                break
+        else:
+            kept.append(hypothesis)
+    return kept
+
+
+def _alike(first: LandmarkSlam, second: LandmarkSlam) -> bool:
+    """Whether two explanations hold as many landmarks and the same pose, equally sure of it."""
+    if first.landmark_count != second.landmark_count:
+        return False
+    one, two = first.pose_covariance, second.pose_covariance
+    wide, narrow = np.maximum(np.diag(one), np.diag(two)), np.minimum(np.diag(one), np.diag(two))
+    if (wide > _NARROW * narrow + 1e-12).any():
+        return False
+    off = first.pose - second.pose
+    off[2] = wrap(off[2])
+    return bool(off @ np.linalg.pinv(one, hermitian=True) @ off < _ALIKE)
+
+
+def _pruned(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
+    """The likeliest, without those that hardly count."""
+    least = hypotheses[0].log_weight + math.log(_LIGHT)
+    return [hypothesis for hypothesis in hypotheses[:most] if hypothesis.log_weight >= least]
+
+
+def _revisions(before: list[Told], now: list[Told], begun: int) -> Revisions:
+    """What is told otherwise now of frames before the last; begun: the number of the first that is kept."""
+    revised: Revisions = {}
+    for k in range(len(now) - 2, -1, -1):
+        if now[k] is before[k]:
+            break
+        revised[begun + k] = now[k]
+    return revised
