@@ -28,6 +28,7 @@ REFUSED = {
         "--use joint means nothing to pmb",
     ),
     "not yet": (["--method", "mh-fastslam"], "mh-fastslam is not carried out yet"),
+    "association of a mixture": (["--method", "pmbm", "--association", "jcbb"], "means nothing to pmbm"),
     "no particles": (["--method", "pmb", "--particles", "0"], "--particles"),
     "no method": (["--method", "phd"], "'phd' is not one of"),
 }
@@ -84,6 +85,16 @@ def test_a_kalman_run_in_the_same_folder_leaves_no_picture_of_a_set(tmp_path):
     assert not any((tmp_path / "figures" / f"{name}.png").exists() for name in ("set", "intensity"))
     config = manifest(tmp_path)["config"]
     assert config["filter"]["name"] == "ekf" and config["finite_set"]["method"] is None
+
+
+def test_a_mixture_begins_with_a_filter_and_associates(tmp_path):
+    """It keeps an audit trail and is judged by its association, as filters are."""
+    line = ["run", "phd-1", "--set", "world.observe_every=160", "--method", "pmbm", "--particles", 2]
+    answer = kalmap(*line, "--filter", "ekf", "--out", tmp_path)
+    assert (answer.code, answer.err) == (0, "") and "phd-1, pmbm of 2, ekf, invariant: " in answer.out
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["association_accuracy"] > 0.0 and metrics["ospa_m"] > 0.0
+    assert (tmp_path / "association.sqlite").is_file() and no_nan(tmp_path)
 
 
 def test_contradictions_are_refused(tmp_path):
