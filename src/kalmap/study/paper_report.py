@@ -25,6 +25,7 @@ from kalmap.view import StudyRow, StudyTable, render_study, save_figures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_OF_METHOD = ("filter", "association", "finite_set")
 _PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "msgspec")
 
 
@@ -190,11 +191,7 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         config={
             "seeds": sorted({case.seed for case in cases}),
             "methods": {
-                name: {
-                    "filter": json_ready(config.filter),
-                    "association": json_ready(config.association),
-                    "finite_set": json_ready(config.finite_set),
-                }
+                name: {part: json_ready(getattr(config, part)) for part in _OF_METHOD}
                 for name, config in methods.items()
             },
             "worlds": settings,

@@ -193,8 +193,7 @@ def save_run(
     manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
     write_result(folder, estimate=outcome.estimate, trace=outcome.trace, metrics=metrics, manifest=manifest)
     trail, worst = save_trail(folder, outcome, manifest)
-    for name in _SET_FIGURES:  # an earlier run of another method may have left them
-        (folder / "figures" / f"{name}.png").unlink(missing_ok=True)
+    _drop_set_figures(folder)
     if figures:
         view = run_view(outcome, log, method_label(config), judged)
         drawn = run_figures(view)
@@ -235,16 +234,19 @@ def save_comparison(
         first = next(iter(manifests.values()))
         configs = {name: one.config for name, one in manifests.items()}
         write_manifest(folder, msgspec.structs.replace(first, config=configs))
+    _drop_set_figures(folder)
     if views:
         drawn = comparison_figures(views, metrics)
         save_figures(folder / "figures", drawn)
+        title = f"{log.name}: comparison"
         page = render_comparison(
-            views,
-            metrics,
-            manifests=manifests,
-            title=f"{log.name}: comparison",
-            figures=drawn,
-            warnings=warnings,
+            views, metrics, manifests=manifests, title=title, figures=drawn, warnings=warnings
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics
+
+
+def _drop_set_figures(folder: Path) -> None:
+    """Remove what an earlier run of another method may have left: not every method draws them again."""
+    for name in _SET_FIGURES:
+        (folder / "figures" / f"{name}.png").unlink(missing_ok=True)

@@ -37,13 +37,8 @@ def set_error_figure(
             style.say(figure.add_subplot(), "No curves: no map was judged as a set.")
             return figure
         figure = style.new_figure(height=7.0)
-        grid = figure.add_gridspec(3, 2, height_ratios=(1.1, 1.2, 1.0))
-        number = figure.add_subplot(grid[0, :])
-        whole = figure.add_subplot(grid[1, :], sharex=number)
-        first = figure.add_subplot(grid[2, 0], sharex=number)
-        second = figure.add_subplot(grid[2, 1], sharex=number, sharey=first)
+        panels = number, whole, first, second = _panels(figure)
         number.plot(times, true_number, drawstyle="steps-post", label=f"{kind}, seen so far", **_TRUE)
-        panels = (number, whole, first, second)
         for index, curve in zip(range(len(curves)) if places is None else places, curves, strict=True):
             _draw(panels, times, curve, style.method_style(index))
         _write(number, "features", "Number of features in the map")
@@ -59,6 +54,15 @@ def set_error_figure(
         columns = len(labels) if len(labels) < 5 else 3
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)
     return figure
+
+
+def _panels(figure: Figure) -> tuple[Axes, Axes, Axes, Axes]:
+    """For number of features, OSPA, and its two parts."""
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.1, 1.2, 1.0))
+    number = figure.add_subplot(grid[0, :])
+    whole = figure.add_subplot(grid[1, :], sharex=number)
+    first = figure.add_subplot(grid[2, 0], sharex=number)
+    return number, whole, first, figure.add_subplot(grid[2, 1], sharex=number, sharey=first)
 
 
 def _draw(panels: tuple[Axes, ...], times: np.ndarray, curve: SetCurve, looks: dict[str, Any]) -> None:
