@@ -14,6 +14,8 @@ VERBS = ("demo", "run", "compare", "check", "reproduce")
 HEAVY = ("numba", "scipy", "matplotlib")
 OPTIONS = (
     *(
+        "--method",
+        "--particles",
         "--filter",
         "--scope",
         "--coordinates",

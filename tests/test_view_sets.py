@@ -106,7 +106,7 @@ def test_components_out_of_the_picture_leave_it_empty():
     assert image[:100].max() == 0.0 and image[-1, -1] == image.max()
 
 
-def test_the_picture_has_image_bar_crosses_and_path():
+def test_the_picture_has_image_bar_rings_and_path():
     weights, means, covariances = components(30)
     landmarks, path = means[:20], np.column_stack([TIMES, TIMES])
     figure = intensity_figure(weights, means, covariances, landmarks, path)

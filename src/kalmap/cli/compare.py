@@ -1,4 +1,4 @@
-"""`kalmap compare`: several filters over the same log, or over several seeds of a world."""
+"""`kalmap compare`: several methods over the same log, or over several seeds of a world."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ from typing import Any
 import click
 
 from kalmap.cli.messages import say
-from kalmap.cli.options import gather, parse_robot, shared_options
+from kalmap.cli.options import gather, parse_robot, refuse_for_sets_only, shared_options
 
 _SHOWN = (
     "position_rmse_m",
     "heading_rmse_deg",
     "feature_rmse_m",
+    "ospa_m",
     "nees_mean",
-    "nis_mean",
     "association_f1",
     "step_ms_mean",
     "landmarks",
 )
 
 
-@click.command("compare", short_help="Run several filters over the same log.")
+@click.command("compare", short_help="Run several methods over the same log.")
 @click.argument("log")
 @click.option(
     "--methods",
     required=True,
     metavar="A,B,...",
-    help="Filters by name; behind each, if wanted, :additive, :invariant, :joint, :sequential or an association, as in "
-    "cr-cdkf:djnn.",
+    help="By name, as --method of `kalmap run` takes them. Behind a filter, if wanted, :additive, :invariant, :joint, "
+    ":sequential or an association, as in cr-cdkf:djnn; behind a method of sets :motion, :sightings or a weighting, as "
+    "in srckf-phd:motion:single-feature.",
 )
 @click.option(
     "--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of a simulated world."
@@ -60,15 +61,15 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import open_source
     from kalmap.records import RunConfig
-    from kalmap.study import compare_methods, parse_methods
+    from kalmap.study import compare_methods
     from kalmap.study.present import save_comparison
 
     started = datetime.now(UTC)
-    settings, world = gather(given)
+    settings, world = gather(given, several=True)
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
     log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"])
     config = resolve(log.defaults, merge_seed(settings, seed))
-    chosen = parse_methods(methods.split(","), config.filter, config.association)
+    chosen = _methods(methods, config, given)
     folder = make_folder(out or default_folder("kalmap-compare", log.name))
     span = time_span(log)
     with progress_bar(log.name, given["quiet"]) as show, stop_between_events() as stop:
@@ -98,6 +99,16 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     return _say_how_it_ended(results)
 
 
+def _methods(text: str, config: Any, given: dict[str, Any]) -> list[Any]:
+    """The methods by name, with the settings that they share."""
+    from kalmap.study import parse_methods
+
+    chosen = parse_methods(text.split(","), config.filter, config.association, config.finite_set)
+    if all(method.finite_set is None for method in chosen):
+        refuse_for_sets_only(given, text)
+    return chosen
+
+
 def _say_how_it_ended(results: list[Any]) -> int:
     """One line an error, with the methods that met it; returns the exit code."""
     from kalmap.cli.run import exit_code
@@ -119,18 +130,18 @@ def _seeds(
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import find_world
     from kalmap.records import ConfigError
-    from kalmap.study import compare_seeds, parse_methods
+    from kalmap.study import compare_seeds
     from kalmap.study.seeds_report import write_seeds
 
-    settings, overrides = gather(given)
+    settings, overrides = gather(given, several=True)
     world = find_world(text, overrides)
     if world is None:
         raise ConfigError(f"--runs {runs}: {text} is a log; only a world can be run with several seeds")
-    extra = sorted(set(settings) - {"filter", "association", "seed"})
+    extra = sorted(set(settings) - {"filter", "association", "finite_set", "seed"})
     if extra:
         raise ConfigError(f"{extra[0]}: with --runs the filters take the world's own noise and sensor")
     config = resolve(world.defaults(), settings)  # a world of scans has no ids to go by
-    chosen = parse_methods(methods.split(","), config.filter, config.association)
+    chosen = _methods(methods, config, given)
     folder = out or Path(f"kalmap-compare-{world.name}")
     folder.mkdir(parents=True, exist_ok=True)
     with progress_bar(world.name, given["quiet"]) as show:
@@ -145,7 +156,7 @@ def _seeds(
         )
     paired = write_seeds(folder, result)
     if not given["quiet"]:
-        for metric in ("position_rmse_m", "feature_rmse_m", "nees_mean"):
+        for metric in ("position_rmse_m", "feature_rmse_m", "ospa_m", "nees_mean"):
             _paired(metric, paired[metric])
         click.echo(f"written to {folder}")
     for failure in result.failures():

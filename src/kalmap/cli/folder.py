@@ -22,6 +22,8 @@ _DRAWN = (
     "figures/errors.png",
     "figures/consistency.png",
     "figures/timing.png",
+    "figures/set.png",
+    "figures/intensity.png",
 )
 
 

@@ -12,6 +12,12 @@ from kalmap.cli.settings import Settings, merge, parse_pairs, read_config
 
 FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
 
+SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm")
+METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS)
+# settings of the one family that the other has no use for
+_FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management")
+_SETS_ONLY = ("particles", "proposal", "weighting")
+
 _SHARED = (
     click.option("--scope", type=click.Choice(["full", "reduced"]), help="What the lineariser is handed."),
     click.option("--coordinates", type=click.Choice(["invariant", "additive"]), help="Error coordinates."),
@@ -31,6 +37,21 @@ _SHARED = (
     click.option(
         "--detector", type=click.Choice(["reflectors", "trees"]), help="What is looked for in scans."
     ),
+    click.option(
+        "--particles",
+        type=click.IntRange(min=1),
+        help="Of a method of random finite sets; default 10.",
+    ),
+    click.option(
+        "--proposal",
+        type=click.Choice(["sightings", "motion"]),
+        help="What its particles are drawn from.",
+    ),
+    click.option(
+        "--weighting",
+        type=click.Choice(["empty", "single-feature", "single-cluster", "multi-feature"]),
+        help="rb-phd, srckf-phd: what of the map weighs a particle.",
+    ),
     click.option("--config", "config_file", type=click.Path(path_type=Path), help="TOML or JSON settings."),
     click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One setting; may be repeated."),
     click.option("--seed", type=click.IntRange(min=0), help="Seed of a simulated world."),
@@ -48,23 +69,30 @@ def shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def gather(given: dict[str, Any]) -> tuple[Settings, dict[str, Any]]:
-    """Settings from file, pairs and flags, later ones on top; and apart from them those of the world."""
+def gather(given: dict[str, Any], several: bool = False) -> tuple[Settings, dict[str, Any]]:
+    """Settings from file, pairs and flags, later ones on top; and apart from them those of the world.
+
+    several: they are for methods of both families. Else options that the method has no use for are refused.
+    """
     settings = read_config(given["config_file"]) if given["config_file"] else {}
     settings = merge(settings, parse_pairs(given["pairs"]))
     flags: Settings = {}
+    filter_name = None if several else _chosen(given, settings, flags)
     for key in ("scope", "coordinates", "use"):
         if given[key] is not None:
             flags.setdefault("filter", {})[key] = given[key]
-    named = given.get("filter_name") or (settings.get("filter") or {}).get("name")
+    named = filter_name or (settings.get("filter") or {}).get("name")
     if given["scope"] == "full" and named is None:
         flags["filter"]["name"] = "cdkf"  # the default filter's full form
-    if given.get("filter_name") is not None:
-        flags.setdefault("filter", {})["name"] = given["filter_name"]
+    if filter_name is not None:
+        flags.setdefault("filter", {})["name"] = filter_name
     for key, table, field in (
         ("association", "association", "method"),
         ("management", "association", "management"),
         ("detector", "perception", "detector"),
+        ("particles", "finite_set", "particles"),
+        ("proposal", "finite_set", "proposal"),
+        ("weighting", "finite_set", "weighting"),
     ):
         if given[key] is not None:
             flags.setdefault(table, {})[field] = given[key]
@@ -77,6 +105,39 @@ def gather(given: dict[str, Any]) -> tuple[Settings, dict[str, Any]]:
     if not isinstance(world, dict):
         raise click.UsageError("world: expected settings such as world.laps=1")
     return settings, world
+
+
+def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str | None:
+    """The filter that --method or --filter names; a method of sets goes into `flags`.
+
+    Raises UsageError where the options of one family are given for a method of the other.
+    """
+    method, filter_name = given.get("method"), given.get("filter_name")
+    if method in FILTER_NAMES and filter_name not in (None, method):
+        raise click.UsageError(f"--method {method} and --filter {filter_name} contradict each other")
+    filter_name = method if method in FILTER_NAMES else filter_name
+    table = settings.get("finite_set")
+    sets = table.get("method") if isinstance(table, dict) else None
+    if method in SET_METHODS:  # pmbm begins with a filter
+        sets = flags.setdefault("finite_set", {})["method"] = method
+    elif filter_name is not None:
+        sets = flags.setdefault("finite_set", {})["method"] = None
+    if sets is None:
+        refuse_for_sets_only(given, filter_name or "a Kalman filter")
+        return filter_name
+    for key in _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting"):
+        if given.get(key) is not None:
+            option = "filter" if key == "filter_name" else key
+            raise click.UsageError(f"--{option} {given[key]} means nothing to {sets}")
+    return filter_name
+
+
+def refuse_for_sets_only(given: dict[str, Any], method: str) -> None:
+    """Raise UsageError if an option is given that only methods of random finite sets have a use for."""
+    for key in _SETS_ONLY:
+        if given.get(key) is not None:
+            known = ", ".join(SET_METHODS)
+            raise click.UsageError(f"--{key} {given[key]} means nothing to {method}; it is for {known}")
 
 
 def parse_robot(text: str | None) -> int | None:

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from kalmap.study.paper_report import Reproduction
 
 Use = Literal["joint", "sequential"]
-PAPERS = ("crcdkf", "djnn")
-_RUNS = {"crcdkf": 50, "djnn": 20}
+PAPERS = ("crcdkf", "djnn", "srckf-phd")
+_RUNS = {"crcdkf": 50, "djnn": 20, "srckf-phd": 10}
 # options that only one of the papers has a use for
 _OWN = {"full_runs": "crcdkf", "use": "crcdkf", "mda_runs": "djnn"}
 
@@ -22,7 +22,9 @@ _OWN = {"full_runs": "crcdkf", "use": "crcdkf", "mda_runs": "djnn"}
 @click.command("reproduce", short_help="Make a paper's tables and figures again.")
 @click.argument("paper", type=click.Choice(PAPERS))
 @click.option(
-    "--runs", type=click.IntRange(min=1), help="Seeds a method; default 50 for crcdkf, 20 for djnn."
+    "--runs",
+    type=click.IntRange(min=1),
+    help="Seeds a method; default 50 for crcdkf, 20 for djnn, 10 for srckf-phd.",
 )
 @click.option(
     "--full-runs",
@@ -48,6 +50,7 @@ def command(
     """Reproduce PAPER.
 
     crcdkf: Chen & Cheng 2012, tables 1 and 2 and figure 2. djnn: Zhou, Zhao & Zhang 2010, tables 1 and 2 and figure 2.
+    srckf-phd: Yan et al. 2014, table 2, figures 2, 3 and 4, and figure 6 where the car park's log is.
 
     Stopped, it goes on where it was when called again with the same folder. Exit code 1 if a claim does not hold.
     """
@@ -55,7 +58,7 @@ def command(
 
     chosen = _of_paper(paper, own)
     folder = out or Path(f"kalmap-reproduce-{paper}")
-    make = {"crcdkf": _crcdkf, "djnn": _djnn}[paper]
+    make = {"crcdkf": _crcdkf, "djnn": _djnn, "srckf-phd": _srckf_phd}[paper]
     with progress_bar(f"reproduce {paper}", quiet) as show:
         reproduction = make(
             folder,
@@ -97,3 +100,14 @@ def _djnn(folder: Path, **settings: Any) -> Reproduction:
     from kalmap.study import reproduce_djnn
 
     return reproduce_djnn(folder, **settings)
+
+
+def _srckf_phd(folder: Path, **settings: Any) -> Reproduction:
+    from kalmap.cli.source import data_root
+    from kalmap.study import reproduce_srckf_phd
+
+    car_park = data_root() / "car_park"
+    if not car_park.is_dir():
+        say(f"the car park's log is not in {data_root()} (set KALMAP_DATA): figure 6 is left out")
+        return reproduce_srckf_phd(folder, **settings)
+    return reproduce_srckf_phd(folder, car_park=car_park, **settings)

@@ -9,11 +9,16 @@ from typing import Any
 import click
 
 from kalmap.cli.messages import say
-from kalmap.cli.options import FILTER_NAMES, gather, parse_robot, shared_options
+from kalmap.cli.options import FILTER_NAMES, METHOD_NAMES, gather, parse_robot, shared_options
 
 
 @click.command("run", short_help="Run a filter over a log or a simulated world.")
 @click.argument("log")
+@click.option(
+    "--method",
+    type=click.Choice(METHOD_NAMES),
+    help="A Kalman filter, as --filter takes it, or one of random finite sets, which need no association.",
+)
 @click.option("--filter", "filter_name", type=click.Choice(FILTER_NAMES), help="Default: cr-cdkf.")
 @click.option("--out", type=click.Path(path_type=Path), help="Result folder; default kalmap-LOG.")
 @click.option("--no-figures", is_flag=True, help="Write neither figures nor report.")

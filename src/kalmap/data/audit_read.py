@@ -39,7 +39,7 @@ def _inside(folder: Path) -> Path:
     hint = (
         f"; there is one in {', '.join(below)}"
         if below
-        else " (the log gave the identities, or it was not kept)"
+        else " (the log gave the identities, the map is a random finite set, or it was not kept)"
     )
     raise LogError(f"holds no audit trail of data association{hint}", file=folder)
 

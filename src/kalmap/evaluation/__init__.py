@@ -18,6 +18,7 @@ from kalmap.evaluation.consistency import (
 )
 from kalmap.evaluation.identities import sighting_identities
 from kalmap.evaluation.landmarks import MapScore, pair_by_id, pair_by_nearest, score_by_id, score_by_nearest
+from kalmap.evaluation.map_metrics import set_cutoffs
 from kalmap.evaluation.metrics import Metrics, Options, evaluate
 from kalmap.evaluation.owners import LandmarkScore, landmark_owners, score_landmarks
 from kalmap.evaluation.paired import PairedTest, paired_test
@@ -92,6 +93,7 @@ __all__ = [
     "score_landmarks",
     "score_pairs",
     "seen_so_far",
+    "set_cutoffs",
     "set_errors_over_time",
     "share_inside",
     "sighting_identities",

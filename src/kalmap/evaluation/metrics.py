@@ -9,19 +9,14 @@ import numpy as np
 
 from kalmap.evaluation import consistency, trajectory
 from kalmap.evaluation.association import Verdict, score_association, score_pairs
-from kalmap.evaluation.landmarks import MapScore, Motion, pair_by_id, score_by_id, score_by_nearest
+from kalmap.evaluation.map_metrics import Metrics, map_metrics, set_cutoffs, set_metrics
 from kalmap.evaluation.owners import score_landmarks
 from kalmap.evaluation.timing import step_times
-from kalmap.geometry.alignment import align
-from kalmap.records import Estimate, Landmarks, Log, Reference, Trace
-
-Metrics = dict[str, float | int | None]
+from kalmap.records import Estimate, Log, Reference, Trace
 
 _FEWEST_ALIGNED = 3  # an alignment makes the error of one or two positions vanish
 
 _COUNTS = tuple(verdict.name.lower() for verdict in Verdict)
-
-_STAY: Motion = (0.0, np.zeros(2))
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,6 +63,10 @@ def evaluate(
     of degrees of freedom, whose 95 % band is `nis_band_*`. Further references add the same keys behind
     their kind ("gps_position_rmse_m"; a second of the same kind "gps2_").
 
+    `ospa_m` with its parts, `gospa_m` with the numbers of features missed and false, and `cardinality_error`
+    (features too many; negative: too few) judge the last map as a set, in the frame that `feature_rmse_m` is
+    judged in; see `set_cutoffs`.
+
     `association_accuracy` and the count of each `Verdict` (`association_right`, ...) judge the sightings,
     `association_precision`, `_recall` and `_f1` the pairs of them, `association_*_landmarks` and
     `association_missed_features` the last map. Whether a negative true id means "known to be no landmark" is
@@ -78,12 +77,13 @@ def evaluate(
     metrics = _run_metrics(trace, estimate, runtime_s)
     metrics |= _nis_metrics(trace)
     metrics |= _association_metrics(association, estimate.landmarks.ids, log.false_ids)
+    cutoffs = set_cutoffs(log.defaults.sensor.max_range)
     seen: dict[str, int] = {}
     for number, reference in enumerate(log.references or (Reference(),)):
         seen[reference.kind] = seen.get(reference.kind, 0) + 1
         again = seen[reference.kind] if seen[reference.kind] > 1 else ""
         prefix = f"{reference.kind}{again}_" if number else ""
-        judged = _reference_metrics(trace, estimate, reference, comparable, options)
+        judged = _reference_metrics(trace, estimate, reference, comparable, options, cutoffs)
         if dead_reckoning is not None:
             judged |= _dead_reckoning_metrics(*dead_reckoning, reference, options)
         metrics |= {prefix + key: value for key, value in judged.items()}
@@ -144,7 +144,12 @@ def _association_metrics(
 
 
 def _reference_metrics(
-    trace: Trace, estimate: Estimate, reference: Reference, comparable: bool, options: Options
+    trace: Trace,
+    estimate: Estimate,
+    reference: Reference,
+    comparable: bool,
+    options: Options,
+    cutoffs: tuple[float, float],
 ) -> Metrics:
     """All that one reference says about a run."""
     matched = trajectory.match(trace.times, trace.poses, reference, options.max_gap)
@@ -155,7 +160,8 @@ def _reference_metrics(
         metrics[f"rpe_{distance:g}m_m"] = error.translation_rmse if error else None
         metrics[f"rpe_{distance:g}m_deg"] = math.degrees(error.rotation_rmse) if error else None
     metrics |= _nees_metrics(trace, estimate.coordinates, matched, reference)
-    return metrics | _map_metrics(estimate.landmarks, matched, reference, comparable, options)
+    metrics |= map_metrics(estimate.landmarks, matched, reference, comparable, options.cutoff)
+    return metrics | set_metrics(estimate.landmarks, matched, reference, comparable, cutoffs)
 
 
 def _pose_metrics(matched: trajectory.Matched, reference: Reference, options: Options) -> Metrics:
@@ -194,47 +200,6 @@ def _nees_metrics(
         if mean is not None:
             inside, (low, high) = consistency.share_inside(nees, 3), consistency.chi2_band(3)
     return {"nees_mean": mean, "nees_band_low": low, "nees_band_high": high, "nees_inside": inside}
-
-
-def _map_metrics(
-    landmarks: Landmarks,
-    matched: trajectory.Matched,
-    reference: Reference,
-    comparable: bool,
-    options: Options,
-) -> Metrics:
-    """The last map against the reference's; None throughout if the reference has no features."""
-    score: MapScore | None = None
-    if len(reference.landmarks):
-        motion = _into_frame(landmarks, matched, reference, comparable)
-        ids, positions = np.asarray(landmarks.ids), landmarks.positions
-        if comparable:
-            score = score_by_id(ids, positions, reference.landmark_ids, reference.landmarks, motion)
-        else:
-            # a map drifts with its trajectory: look for its features where the aligned trajectory puts them
-            driven = trajectory.aligned(matched)[1] if len(matched) else motion
-            score = score_by_nearest(positions, reference.landmarks, options.cutoff, motion, driven)
-    return {
-        "feature_rmse_m": score.rmse if score else None,
-        "feature_aligned_rmse_m": score.aligned_rmse if score else None,
-        "landmarks_matched": score.matched if score else None,
-        "landmarks_missed": score.missed if score else None,
-        "landmarks_spurious": score.spurious if score else None,
-        "landmarks_doubled": score.doubled if score else None,
-    }
-
-
-def _into_frame(
-    landmarks: Landmarks, matched: trajectory.Matched, reference: Reference, comparable: bool
-) -> Motion:
-    """The motion from the estimate's frame into the reference's: none if they are the same, else that of
-    the trajectory, or of the named features where the reference (a survey) has no trajectory."""
-    if reference.frame == "map":
-        return _STAY
-    if len(matched) or not comparable:
-        return trajectory.aligned(matched)[1]
-    rows, columns = pair_by_id(landmarks.ids, reference.landmark_ids)
-    return align(landmarks.positions[rows], reference.landmarks[columns])
 
 
 def _dead_reckoning_metrics(

@@ -251,3 +251,10 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def by_ids(self) -> bool:
         """Whether the log's own identities say which sighting belongs to which landmark."""
         return self.finite_set.method is None and self.association.method == "known"
+
+    @property
+    def by_place(self) -> bool:
+        """Whether the run itself says which landmark each sighting belongs to; most sets say nothing of the kind."""
+        if self.finite_set.method is not None:
+            return self.finite_set.method == "pmbm"
+        return self.association.method != "known"

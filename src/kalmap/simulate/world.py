@@ -11,6 +11,7 @@ import numpy as np
 from kalmap.records import (
     AssociationConfig,
     ConfigError,
+    FiniteSetConfig,
     MotionConfig,
     PerceptionConfig,
     RunConfig,
@@ -117,7 +118,9 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             raise ConfigError(f"world {self.name}: {problem}")
 
     def defaults(self) -> RunConfig:
-        """The settings of an estimator that knows this world's vehicle, sensor and noise exactly.
+        """The settings of an estimator that knows this world's vehicle, sensor, noise, P_D and clutter exactly.
+
+        Where P_D falls with the range, the one stated is that at half the range.
 
         Scans carry no ids: there the association is by likelihood, of trunks that the detector of trees finds.
         """
@@ -139,6 +142,16 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             perception=PerceptionConfig()
             if self.scanner is None
             else PerceptionConfig(detector="trees", clearance=_CLEARANCE),
+            finite_set=self._finite_set(),
+        )
+
+    def _finite_set(self) -> FiniteSetConfig:
+        """P_D and clutter as they are; of scans, what a detector finds in them, nobody knows exactly."""
+        if self.scanner is not None:
+            return FiniteSetConfig()
+        far = self.detection_probability if self.detection_far is None else self.detection_far
+        return FiniteSetConfig(
+            detection=0.5 * (self.detection_probability + far), clutter=float(self.clutter)
         )
 
 

@@ -28,12 +28,15 @@ from kalmap.models.motion import motion_from_config
 from kalmap.models.sensor import sensor_from_config
 from kalmap.perception import detector_from_config
 from kalmap.records import AssociationConfig, ConfigError, FiniteSetConfig, Log, RunConfig
-from kalmap.records.config import AssociationName, ManagementName
+from kalmap.records.config import AssociationName, ManagementName, SetMethod
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 from kalmap.slam.mixture import MixtureSlam
 
+SET_METHODS: tuple[str, ...] = get_args(SetMethod)
+_CARRIED_OUT = ("rb-phd", "srckf-phd", "pmb", "pmbm")
+WEIGHED_METHODS = ("rb-phd", "srckf-phd")
 ASSOCIATIONS: tuple[str, ...] = get_args(AssociationName)
 
 _OWN_MANAGEMENT = {"djnn": "counter"}
@@ -90,8 +93,25 @@ def _management(config: AssociationConfig) -> BuiltInManagement:
     raise ConfigError(f"association.management: {name!r} is none of {known}")
 
 
+def check_method(config: RunConfig) -> None:
+    """Raise ConfigError where the settings of the method contradict each other."""
+    sets = config.finite_set
+    if sets.method is None or sets.method == "pmbm":
+        resolve_filter(config.filter)
+    if sets.method is not None and sets.method not in _CARRIED_OUT:
+        raise ConfigError(
+            f"finite_set.method: {sets.method} is not carried out yet; there are {', '.join(_CARRIED_OUT)}"
+        )
+    if sets.method is not None and sets.weighting is not None and sets.method not in WEIGHED_METHODS:
+        raise ConfigError(
+            f"finite_set.weighting: {sets.method} weighs its particles in one way only; "
+            f"{sets.weighting} is for {' and '.join(WEIGHED_METHODS)}"
+        )
+
+
 def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSlam | MixtureSlam:
     """The estimator for this log. Raises ConfigError where settings contradict each other."""
+    check_method(config)
     if config.finite_set.method == "pmbm":
         return _mixture(config, log)
     if config.finite_set.method is not None:

@@ -299,11 +299,12 @@ class FiniteSetSlam:
         )
         landmarks, off = landmarks_of(particles, best, numbers)
         pose, covariance, stamp = self.pose, self.pose_covariance, self._changes
+        bias_covariance = self._ahead.covariance
 
         def joint() -> tuple[np.ndarray, np.ndarray]:
             if stamp != self._changes:
                 raise EstimationError("the filter has moved on: ask the joint covariance of a fresh estimate")
-            return joint_of(particles, pose, covariance, landmarks, off)
+            return joint_of(particles, pose, covariance, bias_covariance, landmarks, off)
 
         return Estimate(
             time=self._time,

@@ -23,7 +23,9 @@ from kalmap.records import (
     Skipped,
     Trace,
 )
+from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.map_course import CourseKeeper, MapCourse
 from kalmap.slam.protocol import Slam
 
 KEPT_SKIPS = 1000  # records listed one by one; the rest is counted
@@ -38,7 +40,8 @@ class Outcome(msgspec.Struct, frozen=True):
     truth_ids: the identity that the log gives it, -1 where a frame has none; times (K,) s and values (K, 2) of the
     sightings themselves. All four are empty where association was given, truth_ids also where the log has none.
     association_seconds: s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if
-    it was asked for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for.
+    it was asked for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for. course: of the map,
+    where it is a random finite set.
     """
 
     estimate: Estimate
@@ -56,6 +59,7 @@ class Outcome(msgspec.Struct, frozen=True):
     association_seconds: float
     decisions: list[Frame]
     dead_reckoning: tuple[np.ndarray, np.ndarray] | None
+    course: MapCourse | None
     error: KalmapError | None
     interrupted: bool
 
@@ -174,6 +178,7 @@ class _Loop:
         self.associated = slam.association_seconds  # before this run
         self.decisions: list[Frame] = []
         self.scored = slam.labels
+        self.keeper = CourseKeeper(slam) if isinstance(slam, FiniteSetSlam) else None
         self.reckoner = _reckoner(slam, log) if reckon else None
 
     def skip(self, record: Skipped) -> None:
@@ -202,6 +207,8 @@ class _Loop:
             self.recorder.frame(seconds)
             self.frames += 1
             self._count()
+            if self.keeper is not None:
+                self.keeper.frame()
             self.recorder.row(self.slam, self.slam.frame_nis, self.slam.frame_used, self._reckoned())
 
     def _count(self) -> None:
@@ -261,6 +268,7 @@ class _Loop:
             association_seconds=self.slam.association_seconds - self.associated,
             decisions=self.decisions,
             dead_reckoning=reckoned,
+            course=None if self.keeper is None else self.keeper.course(),
             error=error,
             interrupted=interrupted,
         )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from kalmap.geometry.angles import wrap
 from kalmap.kernels import set_layout as layout
 from kalmap.records import Landmarks
 from kalmap.slam.particles import Particles
+
+_TINY = 1e-15  # m^2 and rad^2: a pose that is known exactly has a root all the same
 
 
 def mean_pose(particles: Particles) -> np.ndarray:
@@ -84,15 +88,37 @@ def landmarks_of(particles: Particles, best: np.ndarray, numbers: np.ndarray) ->
 
 
 def joint_of(
-    particles: Particles, pose: np.ndarray, pose_covariance: np.ndarray, landmarks: Landmarks, off: np.ndarray
+    particles: Particles,
+    pose: np.ndarray,
+    pose_covariance: np.ndarray,
+    bias_covariance: np.ndarray,
+    landmarks: Landmarks,
+    off: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n,) and covariance (n, n) of pose and landmarks: each one's own, and between the particles."""
-    weights, count = particles.weights, 2 * len(landmarks)
-    poses = particles.poses - pose
+    """Mean (n,) and covariance (n, n) of pose, biases and landmarks: each one's own, and between the particles.
+
+    bias_covariance (nb, nb): what each particle is unsure of by itself. pose_covariance (3, 3): as it was said of the
+    weighted particles; where resampling has spread them since, what links pose and landmarks is that much weaker.
+    """
+    weights = particles.weights
+    poses = particles.poses - mean_pose(particles)
     poses[:, 2] = wrap(poses[:, 2])
-    whole = np.concatenate([poses, off.reshape(len(weights), count)], axis=1)
+    poses *= _share(pose_covariance, (weights[:, None] * poses).T @ poses)
+    mean = weights @ particles.biases
+    whole = np.concatenate([poses, particles.biases - mean, off.reshape(len(weights), -1)], axis=1)
     covariance = (weights[:, None] * whole).T @ whole
     covariance[:3, :3] = pose_covariance
+    first = 3 + len(mean)
+    covariance[3:first, 3:first] += bias_covariance
     for k, block in enumerate(landmarks.covariances):
-        covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] = block
-    return np.concatenate([pose, landmarks.positions.ravel()]), covariance
+        part = slice(first + 2 * k, first + 2 * k + 2)
+        covariance[part, part] = block
+    return np.concatenate([pose, mean, landmarks.positions.ravel()]), covariance
+
+
+def _share(whole: np.ndarray, part: np.ndarray) -> float:
+    """The largest s up to 1 for which whole - s^2 part, (3, 3) each, is positive semi-definite."""
+    root = np.linalg.cholesky(whole + (1e-12 * np.trace(whole) + _TINY) * np.eye(3))
+    half = np.linalg.solve(root, part)
+    largest = float(np.linalg.eigvalsh(np.linalg.solve(root, half.T))[-1])
+    return 1.0 / math.sqrt(max(largest, 1.0))

@@ -8,15 +8,15 @@ from kalmap.study.compare import (
     compare_methods,
     compare_seeds,
     paired_rows,
-    parse_method,
-    parse_methods,
 )
 from kalmap.study.crcdkf import reproduce_crcdkf
 from kalmap.study.crcdkf_cases import bailey_maps
 from kalmap.study.djnn import reproduce_djnn
+from kalmap.study.methods import parse_method, parse_methods
 from kalmap.study.montecarlo import run_cases, run_study
 from kalmap.study.paper_report import Reproduction
 from kalmap.study.result import StudyResult, Summary, runs_csv, summary_csv
+from kalmap.study.srckf_phd import reproduce_srckf_phd
 
 __all__ = [
     "Case",
@@ -36,6 +36,7 @@ __all__ = [
     "parse_methods",
     "reproduce_crcdkf",
     "reproduce_djnn",
+    "reproduce_srckf_phd",
     "run_cases",
     "run_study",
     "runs_csv",

@@ -13,15 +13,23 @@ from kalmap.evaluation import (
     score_association,
     sighting_identities,
 )
-from kalmap.records import AssociationConfig, FilterConfig, Log, RunConfig
+from kalmap.evaluation.trajectory import aligned
+from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig
 from kalmap.simulate import World, simulate
 from kalmap.slam import Outcome, run, slam_from_config
+from kalmap.study.recorded import Recorded
+from kalmap.study.set_course import JudgedCourse, course_metrics, judge_course
 
 # what is kept of `judge`'s metrics, in the order of the tables
 METRICS = (
     "position_rmse_m",
     "heading_rmse_deg",
     "feature_rmse_m",
+    "ospa_m",
+    "gospa_m",
+    "cardinality_error",
+    "ospa_course_m",
+    "cardinality_course_error",
     "nees_mean",
     "nees_inside",
     "nis_mean",
@@ -46,11 +54,24 @@ CURVE_POINTS = 200
 
 
 class Method(msgspec.Struct, frozen=True):
-    """A filter, and perhaps an association of its own, under the name that tables and figures give it."""
+    """A filter, and perhaps an association of its own, under the name that tables and figures give it.
+
+    finite_set: of a method of random finite sets, for which filter and association mean nothing.
+    """
 
     name: str
-    filter: FilterConfig
+    filter: FilterConfig = FilterConfig()
     association: AssociationConfig | None = None
+    finite_set: FiniteSetConfig | None = None
+
+    def on(self, base: RunConfig) -> RunConfig:
+        """The settings with this method's in place of their own."""
+        return msgspec.structs.replace(
+            base,
+            filter=self.filter,
+            association=self.association or base.association,
+            finite_set=self.finite_set or msgspec.structs.replace(base.finite_set, method=None),
+        )
 
 
 class Case(msgspec.Struct, frozen=True, eq=False):
@@ -60,7 +81,7 @@ class Case(msgspec.Struct, frozen=True, eq=False):
         joint mean and covariance too, to set two filters side by side.
     """
 
-    world: World
+    world: World | Recorded
     method: Method
     seed: int
     association: AssociationConfig | None = None
@@ -69,10 +90,8 @@ class Case(msgspec.Struct, frozen=True, eq=False):
     def config(self) -> RunConfig:
         """The world's own noise and sensor, with this filter and this association."""
         own = self.world.defaults()
-        association = self.method.association or self.association or own.association
-        return msgspec.structs.replace(
-            own, filter=self.method.filter, association=association, seed=self.seed
-        )
+        association = self.association or own.association
+        return self.method.on(msgspec.structs.replace(own, association=association, seed=self.seed))
 
 
 class Joint(msgspec.Struct, frozen=True):
@@ -82,6 +101,17 @@ class Joint(msgspec.Struct, frozen=True):
     covariance: list[list[float]]
 
 
+class SetRecord(msgspec.Struct, frozen=True):
+    """The course of a map as a random finite set at K instants (s): as of `kalmap.evaluation.SetCourse`."""
+
+    times: list[float]
+    estimated: list[int]
+    true: list[int]
+    ospa: list[float]
+    localisation: list[float]
+    cardinality: list[float]
+
+
 class RunRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a study keeps of a run.
 
@@ -89,8 +119,10 @@ class RunRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         position and heading RMS are over the run's frames (every 200 ms in Bailey's world), as in the papers'
         tables. Empty where the filter gave up.
     times: s, about 200 instants, the same for all runs in a world. position_squared m^2, heading_squared
-        rad^2: squared errors at these instants.
-    error: why the filter gave up, else None. joint: the last state, where the case asked for it.
+        rad^2: squared errors at these instants; after an alignment where the reference is in a frame of its own, and
+        headings only where it knows them throughout.
+    error: why the filter gave up, else None. joint: the last state, where the case asked for it. sets: of a map that
+        is a random finite set, where there is a true one.
     """
 
     world: str
@@ -102,11 +134,12 @@ class RunRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     heading_squared: list[float]
     error: str | None = None
     joint: Joint | None = None
+    sets: SetRecord | None = None
 
 
 def outcome_of(case: Case) -> tuple[Outcome, Log]:
     """A case's run, with its log. Raises as `run_case` does."""
-    log = simulate(case.world, case.seed)
+    log = case.world.log() if isinstance(case.world, Recorded) else simulate(case.world, case.seed)
     outcome = run(slam_from_config(case.config(), log), log, reckon=False)
     if outcome.interrupted:
         raise KeyboardInterrupt
@@ -124,27 +157,35 @@ def run_case(case: Case) -> RunRecord:
     names = (case.world.name, case.method.name, case.seed)
     if outcome.error is not None:
         return RunRecord(*names, {}, [], [], [], str(outcome.error))
-    metrics = judge(outcome, log, config)
+    judged = judge_course(outcome, log, config)
+    metrics = judge(outcome, log, config) | course_metrics(judged)
     joint = None
     if case.keep_joint:
         mean, covariance = outcome.estimate.joint()
         joint = Joint(mean.tolist(), covariance.tolist())
     metrics["association_ms"] = association_ms(outcome, config)
     kept = {key: metrics.get(key) for key in METRICS}
-    return RunRecord(*names, kept, *_curves(outcome, log), joint=joint)
+    return RunRecord(*names, kept, *_curves(outcome, log), joint=joint, sets=_set_record(judged))
+
+
+def _set_record(judged: JudgedCourse | None) -> SetRecord | None:
+    if judged is None:
+        return None
+    errors = judged.errors
+    columns = (errors.estimated, errors.true, errors.ospa, errors.localisation, errors.cardinality)
+    return SetRecord(judged.times.tolist(), *(column.tolist() for column in columns))
 
 
 def association_ms(outcome: Outcome, config: RunConfig) -> float | None:
     """Time of the association for a frame; None where it was given, or no frame came."""
-    if config.association.method == "known" or not outcome.frames:
+    if not config.by_place or not outcome.frames:
         return None
     return 1e3 * outcome.association_seconds / outcome.frames
 
 
 def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | int | None]:
     """All metrics of a run (see `kalmap.evaluation.evaluate`)."""
-    known = config.association.method == "known"
-    association = None if known else _identities(outcome, log)
+    association = _identities(outcome, log) if config.by_place else None
     at_once = None
     if association is not None:
         truth = association[0]
@@ -153,7 +194,7 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         outcome.trace,
         outcome.estimate,
         log,
-        ids_known=known,
+        ids_known=config.by_ids,
         runtime_s=outcome.runtime,
         association=association,
         dead_reckoning=outcome.dead_reckoning,
@@ -162,7 +203,7 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         "sightings": outcome.sightings,
         "skipped": outcome.skipped_total,
         "association_accuracy_at_once": at_once,
-        "association_s": None if known else outcome.association_seconds,
+        "association_s": outcome.association_seconds if config.by_place else None,
     }
 
 
@@ -180,5 +221,8 @@ def _curves(outcome: Outcome, log: Log) -> tuple[list[float], list[float], list[
     kept = np.linspace(0, len(trace.times) - 1, min(len(trace.times), CURVE_POINTS)).round().astype(int)
     times, poses = trace.times[kept], trace.poses[kept]
     matched = match(times, poses, log.references[0])
+    if log.references[0].frame != "map":
+        matched = aligned(matched)[0]
     position, heading = position_errors(matched) ** 2, heading_errors(matched) ** 2
-    return times[matched.rows].tolist(), position.tolist(), heading.tolist()
+    known = heading.tolist() if len(heading) == len(position) else []
+    return times[matched.rows].tolist(), position.tolist(), known

@@ -24,6 +24,9 @@ _METRIC_NAMES = {
     "association_accuracy_at_once": "accuracy at once",
     "association_ms": "time per call (ms)",
     "landmarks": "map features",
+    "ospa_course_m": "OSPA over the run (m)",
+    "cardinality_course_error": "error of the number of features over the run",
+    "runtime_s": "time per run (s)",
 }
 
 

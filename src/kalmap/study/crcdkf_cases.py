@@ -13,7 +13,7 @@ from kalmap.records import ConfigError, FilterConfig
 from kalmap.records.config import Use
 from kalmap.simulate import World, world_by_name
 from kalmap.study.cases import Case, Method
-from kalmap.study.compare import parse_methods
+from kalmap.study.methods import parse_methods
 from kalmap.study.result import StudyResult
 
 Maps = Callable[[str], tuple[np.ndarray, np.ndarray]]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kalmap.records import AssociationConfig, ConfigError
 from kalmap.simulate import World
-from kalmap.slam import resolve_filter
+from kalmap.slam import check_method
 from kalmap.study.cases import Case, Method, RunRecord, run_case
 from kalmap.study.result import StudyResult
 from kalmap.study.store import Store
@@ -79,4 +79,4 @@ def _check(cases: Sequence[Case]) -> None:
         seen.add(name)
         if case.seed < 0:
             raise ConfigError(f"study: a seed must be 0 or more, got {case.seed}")
-        resolve_filter(case.method.filter)
+        check_method(case.config())

@@ -18,12 +18,14 @@ from kalmap.data.files import json_ready, json_text, write_atomically
 from kalmap.records import Manifest
 from kalmap.study.cases import Case
 from kalmap.study.claims import Claim, claims_markdown, claims_table, tally
+from kalmap.study.recorded import Recorded
 from kalmap.study.result import StudyResult, Summary, runs_csv, summary_csv
 from kalmap.view import StudyRow, StudyTable, render_study, save_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_OF_METHOD = ("filter", "association", "finite_set")
 _PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "msgspec")
 
 
@@ -180,7 +182,7 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         packages={name: version(name) for name in _PACKAGES},
         command=" ".join(sys.argv),
         log=" and ".join(worlds),
-        source="simulated",
+        source=" and ".join(_sources(cases)),
         data_sha256={
             name: hashlib.sha256(msgspec.json.encode(world, order="deterministic")).hexdigest()
             for name, world in worlds.items()
@@ -189,7 +191,7 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         config={
             "seeds": sorted({case.seed for case in cases}),
             "methods": {
-                name: {"filter": json_ready(config.filter), "association": json_ready(config.association)}
+                name: {part: json_ready(getattr(config, part)) for part in _OF_METHOD}
                 for name, config in methods.items()
             },
             "worlds": settings,
@@ -202,6 +204,12 @@ def study_manifest(cases: Sequence[Case], started: datetime) -> Manifest:
         skipped=[],
         skipped_total=0,
     )
+
+
+def _sources(cases: Sequence[Case]) -> list[str]:
+    """Where the logs came from, each once."""
+    places = (case.world.path if isinstance(case.world, Recorded) else "simulated" for case in cases)
+    return list(dict.fromkeys(places))
 
 
 def _number(value: float | None, decimals: int | None = None) -> str:

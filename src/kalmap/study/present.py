@@ -24,11 +24,14 @@ from kalmap.records import Log, Manifest, Reference, RunConfig
 from kalmap.slam import Outcome
 from kalmap.study.cases import judge
 from kalmap.study.compare import Compared
+from kalmap.study.set_course import JudgedCourse, course_metrics, judge_course
 from kalmap.study.trail import FIGURE, save_trail
 from kalmap.view import (
     Aligned,
     Errors,
     RunView,
+    SetCurve,
+    SetView,
     comparison_figures,
     decision_figure,
     render_comparison,
@@ -37,21 +40,38 @@ from kalmap.view import (
     save_figures,
 )
 
+_SET_FIGURES = ("set", "intensity")
 _PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "msgspec")
 
 
 def method_label(config: RunConfig) -> str:
-    """The filter as tables and pictures name it."""
+    """The method as tables and pictures name it."""
+    sets = config.finite_set
+    if sets.method is not None:
+        number = f"{sets.particles} particle{'s' * (sets.particles > 1)}"
+        proposal = ", motion proposal" if sets.proposal == "motion" else ""
+        weighting = f", {sets.weighting} weighting" if sets.weighting else ""
+        if sets.method != "pmbm":
+            return f"{sets.method}, {number}{proposal}{weighting}"
+        return f"pmbm of {sets.particles}, {_filter_label(config)}"
+    return _filter_label(config)
+
+
+def _filter_label(config: RunConfig) -> str:
     chosen = config.filter
     scope = f", {chosen.scope}" if chosen.scope else ""
     use = ", sequential" if chosen.use == "sequential" else ""
     return f"{chosen.name}, {chosen.coordinates}{scope}{use}"
 
 
-def run_view(outcome: Outcome, log: Log, label: str) -> RunView:
-    """The run with its first reference brought into the estimate's frame, and the errors against it."""
+def run_view(outcome: Outcome, log: Log, label: str, judged: JudgedCourse | None = None) -> RunView:
+    """The run with its first reference brought into the estimate's frame, and the errors against it.
+
+    judged: the course of a map that is a random finite set, where there is a true one.
+    """
+    sets = _set_view(outcome, log, judged, label)
     if not log.references:
-        return RunView(method=label, log=log.name, estimate=outcome.estimate, trace=outcome.trace)
+        return RunView(method=label, log=log.name, estimate=outcome.estimate, trace=outcome.trace, sets=sets)
     reference = log.references[0]
     matched = trajectory.match(outcome.trace.times, outcome.trace.poses, reference)
     moved, angle, translation = matched, 0.0, np.zeros(2)
@@ -64,7 +84,22 @@ def run_view(outcome: Outcome, log: Log, label: str) -> RunView:
         trace=outcome.trace,
         reference=_into_map(reference, angle, translation),
         errors=_errors(outcome, matched, moved, reference, angle) if len(matched) else None,
+        sets=sets,
     )
+
+
+def _set_view(outcome: Outcome, log: Log, judged: JudgedCourse | None, label: str) -> SetView | None:
+    """The map as a random finite set; None where it is none."""
+    if outcome.course is None:
+        return None
+    mixture, places = outcome.course.mixture, outcome.course.places
+    number = np.array([len(each) for each in places], dtype=np.int64)
+    known = (mixture.weights, mixture.means, mixture.covariances, outcome.course.times, number)
+    if judged is None:
+        return SetView(*known)
+    errors = judged.errors
+    curve = SetCurve(label, errors.estimated, errors.ospa, errors.localisation, errors.cardinality)
+    return SetView(*known, curve, errors.true, judged.cutoff, log.references[0].kind)
 
 
 def _into_map(reference: Reference, angle: float, translation: np.ndarray) -> Aligned:
@@ -152,11 +187,15 @@ def save_run(
     """
     check_result_folder(folder)
     metrics = judge(outcome, log, config)
+    judged = judge_course(outcome, log, config)
+    if judged is not None:
+        metrics |= course_metrics(judged)
     manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
     write_result(folder, estimate=outcome.estimate, trace=outcome.trace, metrics=metrics, manifest=manifest)
     trail, worst = save_trail(folder, outcome, manifest)
+    _drop_set_figures(folder)
     if figures:
-        view = run_view(outcome, log, method_label(config))
+        view = run_view(outcome, log, method_label(config), judged)
         drawn = run_figures(view)
         if worst is not None:
             drawn[FIGURE] = decision_figure(worst)
@@ -184,7 +223,8 @@ def save_comparison(
         metrics[result.method] = save_run(
             inside, result.outcome, log, result.config, started=started, figures=False
         )
-        views.append(run_view(result.outcome, log, result.method))
+        judged = judge_course(result.outcome, log, result.config)
+        views.append(run_view(result.outcome, log, result.method, judged))
         manifests[result.method] = manifest_of(
             result.outcome, log, result.config, " ".join(sys.argv), started
         )
@@ -194,16 +234,19 @@ def save_comparison(
         first = next(iter(manifests.values()))
         configs = {name: one.config for name, one in manifests.items()}
         write_manifest(folder, msgspec.structs.replace(first, config=configs))
+    _drop_set_figures(folder)
     if views:
         drawn = comparison_figures(views, metrics)
         save_figures(folder / "figures", drawn)
+        title = f"{log.name}: comparison"
         page = render_comparison(
-            views,
-            metrics,
-            manifests=manifests,
-            title=f"{log.name}: comparison",
-            figures=drawn,
-            warnings=warnings,
+            views, metrics, manifests=manifests, title=title, figures=drawn, warnings=warnings
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics
+
+
+def _drop_set_figures(folder: Path) -> None:
+    """Remove what an earlier run of another method may have left: not every method draws them again."""
+    for name in _SET_FIGURES:
+        (folder / "figures" / f"{name}.png").unlink(missing_ok=True)

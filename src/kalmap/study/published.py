@@ -50,3 +50,14 @@ DJNN = {
     (50, "djnn"): PublishedAssociation(0.9174, 0.0295, 282),
 }
 DJNN_RUNS = 20
+
+# Yan et al. 2014, table 2: mean seconds a run of 726 looks, by clutter a look, over 10 runs.
+SRCKF_PHD_SECONDS = {
+    (1, "srckf-phd"): 69.7603,
+    (1, "rb-phd"): 59.6959,
+    (2, "srckf-phd"): 84.2715,
+    (2, "rb-phd"): 71.0705,
+    (3, "srckf-phd"): 100.4406,
+    (3, "rb-phd"): 85.4459,
+}
+SRCKF_PHD_RUNS = 10

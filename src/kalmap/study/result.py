@@ -12,7 +12,7 @@ import numpy as np
 
 from kalmap.evaluation import PairedTest, paired_test
 from kalmap.study.cases import METRICS, RunRecord
-from kalmap.view import StudyCurve
+from kalmap.view import SetCurve, StudyCurve
 
 
 class Summary(msgspec.Struct, frozen=True):
@@ -91,6 +91,21 @@ class StudyResult(msgspec.Struct, frozen=True):
             position=np.sqrt(np.mean([r.position_squared for r in runs], axis=0)),
             heading=np.sqrt(np.mean([r.heading_squared for r in runs], axis=0)),
         )
+
+    def set_curve(self, world: str, method: str) -> tuple[np.ndarray, SetCurve, np.ndarray] | None:
+        """Means over the runs at each instant: times (F,) s, the map as a set, and (F,) the true number of features.
+
+        None if no run was finished, or there is no true map.
+        """
+        runs = [record.sets for record in self.of(world, method) if record.sets is not None]
+        if not runs:
+            return None
+        columns = (
+            np.mean([getattr(run, name) for run in runs], axis=0)
+            for name in ("estimated", "ospa", "localisation", "cardinality", "true")
+        )
+        *curve, true = columns
+        return np.array(runs[0].times), SetCurve(method, *curve), true
 
     def failures(self) -> list[str]:
         """What made filters give up: a line for every world, seed and reason, with the methods it met."""

@@ -13,6 +13,8 @@ METRICS = {
     "position_rmse_m": "position RMS m",
     "heading_rmse_deg": "heading RMS deg",
     "feature_rmse_m": "feature RMS m",
+    "ospa_m": "OSPA m",
+    "cardinality_error": "features too many",
     "nees_mean": "NEES (3 is right)",
 }
 
@@ -40,7 +42,7 @@ def _means(paired: dict[str, list[PairedRow]]) -> StudyTable:
         StudyRow(row.method, tuple(paired[metric][i].mean for metric in METRICS))
         for i, row in enumerate(first)
     ]
-    note = "Means over the seeds of each run's RMS."
+    note = "Means over the seeds: of each run's RMS, and of its last map as a set."
     return StudyTable("Means", tuple(METRICS.values()), tuple(rows), note)
 
 

@@ -5,7 +5,17 @@ from kalmap.view.comparison import render_comparison, render_study
 from kalmap.view.decision_figure import decision_figure
 from kalmap.view.dots_figure import dots_figure
 from kalmap.view.figures import comparison_figures, run_figures
-from kalmap.view.inputs import Aligned, Errors, RunView, SetCurve, StudyCurve, StudyDots, StudyRow, StudyTable
+from kalmap.view.inputs import (
+    Aligned,
+    Errors,
+    RunView,
+    SetCurve,
+    SetView,
+    StudyCurve,
+    StudyDots,
+    StudyRow,
+    StudyTable,
+)
 from kalmap.view.intensity_figure import intensity_figure
 from kalmap.view.report import Trail, render_report
 from kalmap.view.set_figure import set_error_figure
@@ -17,6 +27,7 @@ __all__ = [
     "Errors",
     "RunView",
     "SetCurve",
+    "SetView",
     "StudyCurve",
     "StudyDots",
     "StudyRow",

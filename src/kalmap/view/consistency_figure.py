@@ -23,16 +23,21 @@ _LOGARITHMIC = 4.0
 
 
 def consistency_figure(run: RunView) -> Figure:
-    """NEES (needs truth) above NIS per degree of freedom (needs none), each with its 95 % band."""
+    """NEES (needs truth) above NIS per degree of freedom (needs none), each with its 95 % band.
+
+    Where the map is a random finite set there is no innovation of a whole frame, and no NIS.
+    """
     with style.house_style():
-        figure = style.new_figure(height=6.0)
-        upper, lower = figure.subplots(2, 1)
+        whole = run.sets is None
+        figure = style.new_figure(height=6.0 if whole else 3.2)
+        upper, *lower = figure.subplots(1 + whole, 1, squeeze=False)[:, 0]
         _draw_nees(upper, run.errors, run.start_time)
-        _draw_nis(lower, run)
-        for axes in (upper, lower):
-            axes.set_xlabel("time since start (s)")
         upper.set_title("NEES: pose error over its stated covariance")
-        lower.set_title("NIS per degree of freedom: innovation over its stated covariance")
+        for axes in lower:
+            _draw_nis(axes, run)
+            axes.set_title("NIS per degree of freedom: innovation over its stated covariance")
+        for axes in (upper, *lower):
+            axes.set_xlabel("time since start (s)")
     return figure
 
 

@@ -43,10 +43,42 @@ class Errors(msgspec.Struct, frozen=True):
         return bool(np.isfinite(self.values[:, 2]).any())
 
 
+class SetCurve(msgspec.Struct, frozen=True):
+    """One method's map as a set, over F instants, (F,) each.
+
+    number: features in the map. ospa, localisation, cardinality: m, the distance to the true map and its parts.
+    """
+
+    method: str
+    number: np.ndarray
+    ospa: np.ndarray
+    localisation: np.ndarray
+    cardinality: np.ndarray
+
+
+class SetView(msgspec.Struct, frozen=True):
+    """The map of a run as a random finite set.
+
+    weights: (N,) expected landmarks of each component of the last map; means: (N, 2) m; covariances: (N, 2, 2) m^2.
+    times: (F,) s, number: (F,) landmarks in the map. curve, true_number: (F,) against the truth, None without one.
+    cutoff: m, of the OSPA. kind: of the reference, as in `Aligned`.
+    """
+
+    weights: np.ndarray
+    means: np.ndarray
+    covariances: np.ndarray
+    times: np.ndarray
+    number: np.ndarray
+    curve: SetCurve | None = None
+    true_number: np.ndarray | None = None
+    cutoff: float | None = None
+    kind: str = "truth"
+
+
 class RunView(msgspec.Struct, frozen=True):
     """One run as the pictures want it: method (its label), log (its name) and what came out.
 
-    reference, errors: None where nothing is known from outside.
+    reference, errors: None where nothing is known from outside. sets: None where the map is no random finite set.
     """
 
     method: str
@@ -55,6 +87,7 @@ class RunView(msgspec.Struct, frozen=True):
     trace: Trace
     reference: Aligned | None = None
     errors: Errors | None = None
+    sets: SetView | None = None
 
     @property
     def start_time(self) -> float:
@@ -81,19 +114,6 @@ class StudyCurve(msgspec.Struct, frozen=True):
     times: np.ndarray
     position: np.ndarray
     heading: np.ndarray
-
-
-class SetCurve(msgspec.Struct, frozen=True):
-    """One method's map as a set, over F instants, (F,) each.
-
-    number: features in the map. ospa, localisation, cardinality: m, the distance to the true map and its parts.
-    """
-
-    method: str
-    number: np.ndarray
-    ospa: np.ndarray
-    localisation: np.ndarray
-    cardinality: np.ndarray
 
 
 class StudyRow(msgspec.Struct, frozen=True):

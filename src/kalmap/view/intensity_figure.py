@@ -18,7 +18,15 @@ _REACH = 4.5  # standard deviations within which a component is evaluated
 # In pixels; a narrower component is widened to it, or the grid would miss its peak and falsify its weight.
 _NARROWEST = 0.6
 _LEAST = 1e-30  # weight of a component that is drawn
-_CROSSES: dict[str, Any] = {"s": 17.0, "marker": "x", "c": style.VERMILLION, "lw": 1.0, "zorder": 5}
+# Open, so that the peak of a well-known landmark is seen inside.
+_RINGS: dict[str, Any] = {
+    "marker": "o",
+    "facecolors": "none",
+    "edgecolors": style.VERMILLION,
+    "lw": 0.9,
+    "zorder": 5,
+}
+_MANY = 120  # landmarks
 _SHARE = 1e-4  # of the largest intensity: what is lower is left white
 
 
@@ -28,12 +36,13 @@ def intensity_figure(
     covariances: np.ndarray,
     landmarks: np.ndarray | None = None,
     path: np.ndarray | None = None,
+    kind: str = "true",
 ) -> Figure:
     """The sum of weighted Gaussians as an image with a colour bar, on a logarithmic scale.
 
     weights: (N,) expected landmarks of each component. means: (N, 2), m. covariances: (N, 2, 2), m^2.
-    landmarks: (M, 2) true ones, as crosses. path: (F, 2) the robot's, as a line. Components that are not
-    finite, not positive semi-definite or of hardly any weight are left out.
+    landmarks: (M, 2) those of a reference, as rings; kind: what it is called. path: (F, 2) the robot's, as a line.
+    Components that are not finite, not positive semi-definite or of hardly any weight are left out.
     """
     good = _drawable(weights, means, covariances)
     weights, means, covariances = weights[good], means[good], covariances[good]
@@ -50,7 +59,8 @@ def intensity_figure(
         if path is not None and len(path):
             axes.plot(path[:, 0], path[:, 1], color=style.GREY, lw=0.9, label="path", zorder=4)
         if landmarks is not None and len(landmarks):
-            axes.scatter(*landmarks.T, label="landmarks, true", **_CROSSES)
+            x, y = landmarks.T
+            axes.scatter(x, y, _ring(len(x)), label=f"landmarks, {kind}", **_RINGS)
         axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set_title(
             f"Intensity of the map: {len(weights)} components, {weights.sum():.1f} landmarks expected"
@@ -88,6 +98,11 @@ def intensity_image(
         (xx, xy), (_, yy) = inverse[k]
         image[y0:y1, x0:x1] += height[k] * np.exp(-0.5 * (xx * dx * dx + 2.0 * xy * dx * dy + yy * dy * dy))
     return image
+
+
+def _ring(count: int) -> float:
+    """Area of a ring, in square points: where there are many they are smaller."""
+    return 52.0 if count <= _MANY else 22.0
 
 
 def _drawable(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> np.ndarray:

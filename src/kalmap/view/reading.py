@@ -74,6 +74,7 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"rpe"}), "Error of the motion over short stretches: drift, not place."),
     (frozenset({"gospa"}), "Map error: misplaced landmarks, and a charge for each missed or false one."),
     (frozenset({"ospa"}), "Map error a landmark, missed and false ones counted in."),
+    (frozenset({"cardinality", "course"}), "Features too many or too few, on average over the run."),
     (frozenset({"position", "rmse"}), "RMS distance from the reference position."),
     (frozenset({"position", "rms"}), "RMS distance from the reference position."),
     (frozenset({"heading"}), "Error of the direction that the vehicle points in."),
@@ -83,8 +84,9 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"landmarks"}), "Distance between estimated and true landmarks."),
     (frozenset({"feature"}), "Distance between estimated and true landmarks."),
 )
-# What a count of the association says, by the words of its key behind "association".
+# What a count says, by the words of its key; one of the association's by those behind "association".
 _COUNTS = {
+    "cardinality error": "Landmarks in the map less those that are there.",
     "right": "Sightings joined to a landmark that their own feature founded.",
     "wrong": "Sightings joined to another's landmark, though their feature had one.",
     "missed new": "Sightings of a feature without a landmark yet, joined to another's.",
@@ -106,6 +108,9 @@ HEADLINES = (
     "feature_rmse_m",
     "ate_aligned_rmse_m",
     "feature_aligned_rmse_m",
+    "ospa_m",
+    "gospa_m",
+    "cardinality_error",
     "nees_mean",
     "nees_inside",
     "nis_mean",
@@ -203,7 +208,8 @@ def reading(key: str, value: Any) -> str:
         judge = agreement if "nis" in words else honesty
         return f"{metric.right:g} is right. {judge(value / metric.right)}"
     if isinstance(value, int):
-        return _COUNTS.get(" ".join(_words(key)).partition("association ")[2], "")
+        spoken = " ".join(_words(key))
+        return _COUNTS.get(spoken.partition("association ")[2] or spoken, "")
     return next((text for needed, text in _EXPLANATIONS if needed <= words), "")
 
 

@@ -65,7 +65,8 @@ def render_report(
         ("configuration", "Configuration", configuration(manifest.config)),
         ("origin", "Where this comes from", origin(manifest)),
     )
-    lead = f"Filter {run.method} in {run.estimate.coordinates} coordinates on {manifest.source}"
+    how = f"Filter {run.method} in {run.estimate.coordinates} coordinates"
+    lead = f"{how if run.sets is None else run.method} on {manifest.source}"
     return page.page(
         f"{run.log}: {run.method}", lead, sections, f"kalmap {manifest.kalmap}, {manifest.finished}"
     )

@@ -15,16 +15,21 @@ if TYPE_CHECKING:
 
 
 def study_figure(curves: Sequence[StudyCurve], title: str = "RMS error over all runs") -> Figure:
-    """Position (m) and heading (deg) RMS errors over time for several methods, side by side."""
+    """Position (m) and heading (deg) RMS errors over time for several methods, side by side.
+
+    The second is left out where the reference knows no headings.
+    """
     with style.house_style():
         figure = style.new_figure(height=4.0)
-        position, heading = figure.subplots(1, 2, sharex=True)
+        headings = all(len(curve.heading) for curve in curves)
+        position, *heading = figure.subplots(1, 1 + headings, sharex=True, squeeze=False)[0]
         for index, curve in enumerate(curves):
             looks = style.method_style(index)
             position.plot(curve.times, curve.position, label=curve.method, **looks)
-            heading.plot(curve.times, np.degrees(curve.heading), **looks)
-        for axes, label in ((position, "position RMS error (m)"), (heading, "heading RMS error (deg)")):
-            axes.set_ylabel(label)
+            for axes in heading:
+                axes.plot(curve.times, np.degrees(curve.heading), **looks)
+        for axes in (position, *heading):
+            axes.set_ylabel("position RMS error (m)" if axes is position else "heading RMS error (deg)")
             axes.set_xlabel("time (s)")
             if curves:
                 axes.set_ylim(bottom=0.0)

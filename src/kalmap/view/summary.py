@@ -8,7 +8,7 @@ import numpy as np
 
 from kalmap.geometry.ellipses import ellipse_axes
 from kalmap.view.consistency import chi_square_band, shares
-from kalmap.view.inputs import Errors, RunView
+from kalmap.view.inputs import Errors, RunView, SetView
 from kalmap.view.reading import agreement, honesty, number
 
 Card = tuple[str, str, str, str]
@@ -16,7 +16,14 @@ Card = tuple[str, str, str, str]
 
 def summary_cards(run: RunView) -> list[Card]:
     """Cards (label, value, unit, what it says) of a run; what is not known is left out."""
-    return [*_course(run), *_map(run), *_errors(run.errors, run), *_innovations(run), *_time(run)]
+    return [
+        *_course(run),
+        *_map(run),
+        *_set(run.sets),
+        *_errors(run.errors, run),
+        *_innovations(run),
+        *_time(run),
+    ]
 
 
 def _course(run: RunView) -> Iterator[Card]:
@@ -37,6 +44,16 @@ def _map(run: RunView) -> Iterator[Card]:
         heading = float(np.degrees(np.sqrt(max(estimate.covariance[2, 2], 0.0))))
         says = f"Half axes of the 95 % ellipse; heading sigma {number(heading)} deg."
         yield "Final pose, stated", f"{number(axes[0])} × {number(axes[1])}", "m", says
+
+
+def _set(sets: SetView | None) -> Iterator[Card]:
+    if sets is None or sets.curve is None or sets.true_number is None or not len(sets.times):
+        return
+    cutoff = "" if sets.cutoff is None else f", cut off at {sets.cutoff:.3g} m"
+    says = (
+        f"at the end{cutoff}: {sets.number[-1]:.0f} landmarks, {sets.true_number[-1]:.0f} have been in view."
+    )
+    yield "OSPA", number(float(sets.curve.ospa[-1])), "m", says
 
 
 def _errors(errors: Errors | None, run: RunView) -> Iterator[Card]:
