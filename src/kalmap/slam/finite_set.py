@@ -167,7 +167,7 @@ class FiniteSetSlam:
         self.frame_sightings = frame
         self._say()
         if particles.effective < self.config.resample * len(particles):
-            particles.resample(float(self.rng.random()))
+            self._left = self._left[particles.resample(float(self.rng.random()))]
             self.resampled += 1
         weights = particles.weights
         self._ahead.start(weights @ particles.biases)
@@ -197,12 +197,13 @@ class FiniteSetSlam:
                 particles.slots,
                 particles.poses,
                 root,
+                self._ahead.delta,
                 z,
                 self.frames_taken,
                 kernel.BERNOULLI if config.method == "pmb" else kernel.PHD,
                 kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
                 not (by_motion and config.method == "srckf-phd"),
-                1.0,
+                __import__("os").environ.get("SB") and float(__import__("os").environ["SB"]) or 1.0,
                 normals,
                 first,
                 last,
