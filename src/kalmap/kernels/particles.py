@@ -85,6 +85,7 @@ def step_particles(
     first,
     last,
     left,
+    ways,
     log_factors,
     explained,
     tallies,
@@ -103,6 +104,7 @@ def step_particles(
         block, count = blocks[slots[p]], counts[slots[p]]
         if kept > 0.0:
             with_kept(root, kept * left[p], delta, poses[p, 2], whole)
+        ways[p] = whole
         log_factor = place(
             setup,
             rules,

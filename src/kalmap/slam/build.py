@@ -100,6 +100,7 @@ def slam_from_config(
             start=log.start,
             start_covariance=log.start_covariance,
             seed=config.seed,
+            extent=config.association.extent,
             detector=detector or detector_from_config(config.perception),
         )
     lineariser, scope = resolve_filter(config.filter)

@@ -39,12 +39,12 @@ from kalmap.slam.checks import (
 )
 from kalmap.slam.engines import BadSampleError, CompiledEngine
 from kalmap.slam.particles import Particles
-from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread
+from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread, rotated
 from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, set_rates
 from kalmap.slam.window import Revisions
 
 _NO_BEAMS = np.zeros((0, 2))
-_NO_NOISE = np.full(3, -1.0)
+_DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays as the particle's own covariance
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
 
@@ -53,7 +53,8 @@ class FiniteSetSlam:
 
     motion, sensor: built-in models. config: see `FiniteSetConfig`. start, start_covariance: (3,) pose and its (3, 3),
     from which the particles are drawn. seed: of everything that is drawn; the same seed gives the same answer however
-    many threads there are. detector: turns scans into sightings, if scans come.
+    many threads there are. extent: m, how far apart the sightings of one landmark from different sides are, as in
+    `AssociationConfig`. detector: turns scans into sightings, if scans come.
 
     An event that cannot be used raises EventError and leaves the state as it was. recovered: how often all particles
     had lost all weight; they then go on with equal ones.
@@ -68,12 +69,13 @@ class FiniteSetSlam:
         start: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
         start_covariance: np.ndarray | None = None,
         seed: int = 1,
+        extent: float = 0.0,
         detector: Detector | None = None,
     ) -> None:
         self.motion = VelocitySteering() if motion is None else motion
         self.sensor = RangeBearing() if sensor is None else sensor
         self.config = FiniteSetConfig(method="pmb") if config is None else config
-        self.detector = detector
+        self.detector, self.extent = detector, extent
         if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
             raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
         self.lineariser: BuiltIn = Cubature() if self.config.method == "srckf-phd" else Jacobian()
@@ -91,6 +93,8 @@ class FiniteSetSlam:
         self.rates = rates_from_config(self.config)
         self._rules = rules_from_config(self.config, self.sensor)
         self._left = np.zeros((number, 3, 3))
+        self._spread_by = float(os.environ.get("SB", _DRAWN)) if self.config.proposal == "sightings" else 1.0
+        self._kept = float(np.sqrt(1.0 - self._spread_by**2))
         self._pose, self._spread = pose, covariance
         self._numbers: dict[int, int] = {}
         self._count = 0
@@ -146,7 +150,7 @@ class FiniteSetSlam:
         check_frame(frame, self._moved)
         check_sightings(frame, self._engine.noises(frame.values)[1])
         particles, z = self._particles, np.ascontiguousarray(frame.values)
-        root, gain, learning = self._ahead.parts()
+        root, gain, cross = self._ahead.parts()
         delta, reference = self._ahead.delta.copy(), self._ahead.reference
         particles.poses = compose(particles.poses, delta)
         if len(reference):
@@ -154,14 +158,13 @@ class FiniteSetSlam:
             particles.poses = compose(particles.poses, off)
         foreseen = particles.poses.copy()
         particles.own(len(z))
-        log_factors, explained, tallies = self._carry(frame, z, root)
+        log_factors, explained, tallies, ways = self._carry(frame, z, root)
         if not particles.weigh(log_factors):
             self.recovered += 1
         if len(reference):
-            particles.biases = (
-                particles.biases + logarithm(compose(inverse(foreseen), particles.poses)) @ learning.T
-            )
-            self._ahead.learn(learning, gain)
+            off = logarithm(compose(inverse(foreseen), particles.poses))
+            left = self._kept * rotated(self._left, -particles.poses[:, 2])
+            particles.biases = particles.biases + self._ahead.learn(cross, ways, left, off, particles.weights)
         self._learn_rates(explained, tallies)
         self.frame_used = round(float(particles.weights @ explained.sum(axis=1)))
         self.frame_sightings = frame
@@ -180,9 +183,9 @@ class FiniteSetSlam:
         set_rates(self._rules, self.rates, config.new_rate, self.sensor)
         profile = self.rates.profile
         log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
-        tallies = np.zeros((number, 2, RINGS))
+        tallies, ways = np.zeros((number, 2, RINGS)), np.empty((number, 3, 3))
         normals = self.rng.standard_normal((number, 3))
-        beams, noise = _beams(frame), _noise(frame)
+        beams, noise = _beams(frame), _noise(frame, self.extent)
         by_motion = config.proposal == "motion"
 
         def part(first: int, last: int) -> None:
@@ -203,18 +206,19 @@ class FiniteSetSlam:
                 kernel.BERNOULLI if config.method == "pmb" else kernel.PHD,
                 kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
                 not (by_motion and config.method == "srckf-phd"),
-                __import__("os").environ.get("SB") and float(__import__("os").environ["SB"]) or 1.0,
+                self._spread_by,
                 normals,
                 first,
                 last,
                 self._left,
+                ways,
                 log_factors,
                 explained,
                 tallies,
             )
 
         self._in_threads(part, number)
-        return log_factors, explained, tallies
+        return log_factors, explained, tallies, ways
 
     def _in_threads(self, part: object, number: int) -> None:
         threads = min(self.config.threads or os.cpu_count() or 1, max(number // (_PARALLEL // 2), 1))
@@ -283,7 +287,7 @@ class FiniteSetSlam:
 
     def twin(self) -> FiniteSetSlam:
         """A fresh filter with the same settings, at the origin."""
-        return FiniteSetSlam(self.motion, self.sensor, self.config)
+        return FiniteSetSlam(self.motion, self.sensor, self.config, extent=self.extent)
 
     def map(self, particle: int | None = None) -> np.ndarray:
         """(C, COLUMNS) the whole mixture of a particle, the best by default; a copy."""
@@ -333,10 +337,10 @@ def _beams(frame: Sightings) -> np.ndarray:
     return np.ascontiguousarray(np.stack([frame.scan.bearings, frame.scan.ranges], axis=1))
 
 
-def _noise(frame: Sightings) -> np.ndarray:
-    """(3,) root of the mean noise that the frame states, -1 where it states none."""
+def _noise(frame: Sightings, extent: float) -> np.ndarray:
+    """(4,) root of the mean noise that the frame states, -1 where it states none; and the landmarks' extent."""
     if frame.covariance is None or not len(frame.covariance):
-        return _NO_NOISE
+        return np.array([-1.0, -1.0, -1.0, extent])
     root = np.zeros((2, 2))
     square_root(frame.covariance.mean(axis=0), 2, root)
-    return np.array([root[0, 0], root[1, 0], root[1, 1]])
+    return np.array([root[0, 0], root[1, 0], root[1, 1], extent])

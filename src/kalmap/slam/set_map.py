@@ -27,6 +27,15 @@ def pose_spread(particles: Particles, mean: np.ndarray, left: np.ndarray) -> np.
     return np.asarray(between + within)
 
 
+def rotated(roots: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) roots of pose covariances in axes turned by the angles (N,)."""
+    turned = roots.copy()
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    turned[:, 0] = cosine * roots[:, 0] - sine * roots[:, 1]
+    turned[:, 1] = sine * roots[:, 0] + cosine * roots[:, 1]
+    return turned
+
+
 def features(rows: np.ndarray, threshold: float) -> np.ndarray:
     """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices."""
     chosen = np.flatnonzero(rows[:, layout.WEIGHT] >= threshold)
