@@ -45,6 +45,7 @@ from kalmap.slam.window import Revisions
 
 _NO_BEAMS = np.zeros((0, 2))
 _DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays as the particle's own covariance
+_INTENSITIES = ("rb-phd", "srckf-phd")
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
 
@@ -165,10 +166,10 @@ class FiniteSetSlam:
             off = logarithm(compose(inverse(foreseen), particles.poses))
             left = self._kept * rotated(self._left, -particles.poses[:, 2])
             particles.biases = particles.biases + self._ahead.learn(cross, ways, left, off, particles.weights)
-        self._learn_rates(explained, tallies)
         self.frame_used = round(float(particles.weights @ explained.sum(axis=1)))
         self.frame_sightings = frame
         self._say()
+        self._learn_rates(explained, tallies)
         if particles.effective < self.config.resample * len(particles):
             self._left = self._left[particles.resample(float(self.rng.random()))]
             self.resampled += 1
@@ -180,7 +181,7 @@ class FiniteSetSlam:
         """Every particle through the frame: ln of its factor (N,), explained (N, M), tallies (N, 2, RINGS)."""
         particles, config = self._particles, self.config
         number = len(particles)
-        set_rates(self._rules, self.rates, config.new_rate, self.sensor)
+        set_rates(self._rules, self.rates, self.sensor)
         profile = self.rates.profile
         log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
         tallies, ways = np.zeros((number, 2, RINGS)), np.empty((number, 3, 3))
@@ -234,7 +235,7 @@ class FiniteSetSlam:
         if self.config.estimate:
             weights = self._particles.weights
             could, were = np.einsum("n,nkr->kr", weights, tallies)
-            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)))
+            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)), self._count)
 
     def _say(self) -> None:
         """What is asked for at every instant, once a frame."""
@@ -242,7 +243,12 @@ class FiniteSetSlam:
         self._pose = mean_pose(particles)
         self._spread = pose_spread(particles, self._pose, self._left)
         rows = particles.map_of(self.best)
-        self._count = int((rows[:, set_layout.WEIGHT] >= self.config.feature).sum())
+        self._count = len(self._features(rows))
+
+    def _features(self, rows: np.ndarray) -> np.ndarray:
+        """Which components of a map (C, COLUMNS) are landmarks of the result, oldest first: (K,) indices."""
+        missed = 1.0 - float(self.rates.profile.max()) if self.config.method in _INTENSITIES else 1.0
+        return features(rows, self.config.feature, missed)
 
     # --- what it says -----------------------------------------------------------------------------------------
 
@@ -297,7 +303,7 @@ class FiniteSetSlam:
         """A snapshot: the mean pose, the best particle's map, and what the particles differ by in the covariances."""
         particles = self._particles
         rows = particles.map_of(self.best)
-        best = rows[features(rows, self.config.feature)]
+        best = rows[self._features(rows)]
         numbers = np.array(
             [self._numbers.setdefault(int(i), len(self._numbers)) for i in best[:, set_layout.ID]],
             dtype=np.int64,

@@ -10,6 +10,9 @@ from kalmap.records import Landmarks
 from kalmap.slam.particles import Particles
 
 
+_KNOWN = 3.0  # sightings
+
+
 def mean_pose(particles: Particles) -> np.ndarray:
     """(3,) weighted; the heading by its mean direction."""
     weights, poses = particles.weights, particles.poses
@@ -36,9 +39,15 @@ def rotated(roots: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return turned
 
 
-def features(rows: np.ndarray, threshold: float) -> np.ndarray:
-    """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices."""
-    chosen = np.flatnonzero(rows[:, layout.WEIGHT] >= threshold)
+def features(rows: np.ndarray, threshold: float, missed: float = 1.0) -> np.ndarray:
+    """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices.
+
+    missed: what a miss leaves of a weight. A density has no memory: what was well known falls to that at one miss and
+    stays there once out of view; so what was sighted `_KNOWN` times is one until it was missed twice.
+    """
+    weight = rows[:, layout.WEIGHT]
+    known = (rows[:, layout.SEEN] >= _KNOWN) & (weight >= threshold * missed * missed)
+    chosen = np.flatnonzero((weight >= threshold) | known)
     return chosen[np.argsort(rows[chosen, layout.ID], kind="stable")]
 
 

@@ -40,9 +40,14 @@ class Rates(msgspec.Struct):
     were: np.ndarray
     frames: float
     false_: float
+    new: float
+    whole: float = _WORTH_FRAMES
+    most: float = 0.0
 
-    def take(self, could: np.ndarray, were: np.ndarray, unexplained: float) -> None:
-        """A frame's tallies (RINGS,), and how many of its sightings no landmark explains."""
+    def take(self, could: np.ndarray, were: np.ndarray, unexplained: float, landmarks: float) -> None:
+        """A frame's tallies (RINGS,), how many of its sightings no landmark explains, and of landmarks there are."""
+        self.whole += 1.0
+        self.most = max(self.most, landmarks)
         prior = (1.0 - _MEMORY) * _WORTH
         self.could = _MEMORY * self.could + prior + could
         self.were = _MEMORY * self.were + prior * self.detection + np.minimum(were, could)
@@ -60,6 +65,11 @@ class Rates(msgspec.Struct):
         """False sightings a frame."""
         return max(self.false_ / self.frames, _LEAST_CLUTTER)
 
+    @property
+    def new_rate(self) -> float:
+        """First sightings a frame: the most landmarks that there ever were, over all frames."""
+        return (_WORTH_FRAMES * self.new + self.most) / self.whole
+
 
 def rates_from_config(config: FiniteSetConfig) -> Rates:
     """The rates that the settings state."""
@@ -70,6 +80,7 @@ def rates_from_config(config: FiniteSetConfig) -> Rates:
         np.full(RINGS, _WORTH * config.detection),
         _WORTH_FRAMES,
         _WORTH_FRAMES * config.clutter,
+        config.new_rate,
     )
 
 
@@ -87,12 +98,12 @@ def rules_from_config(config: FiniteSetConfig, sensor: RangeBearing) -> np.ndarr
     return rules
 
 
-def set_rates(rules: np.ndarray, rates: Rates, new_rate: float, sensor: RangeBearing) -> None:
+def set_rates(rules: np.ndarray, rates: Rates, sensor: RangeBearing) -> None:
     """Write the clutter's density and the share of new landmarks among what no landmark explains."""
     clutter = rates.false_rate
     rules[layout.CLUTTER_RATE] = clutter
     rules[layout.CLUTTER] = clutter / (sensor.max_range * min(sensor.field_of_view, 2.0 * math.pi))
-    rules[layout.BIRTH] = new_rate / (new_rate + clutter)
+    rules[layout.BIRTH] = rates.new_rate / (rates.new_rate + clutter)
 
 
 def weighting_of(config: FiniteSetConfig) -> int:
