@@ -12,6 +12,7 @@ from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.geometry.se2 import compose, exponential, inverse, logarithm, quarter_turn, rotate
 from kalmap.kernels import particles as kernel
 from kalmap.kernels import set_layout
+from kalmap.kernels.hypotheses import step_hypotheses
 from kalmap.kernels.regression import square_root
 from kalmap.models import RangeBearing, VelocitySteering
 from kalmap.models.motion import BuiltInMotion
@@ -96,6 +97,7 @@ class FiniteSetSlam:
         self._left = np.zeros((number, 3, 3))
         self._spread_by = float(os.environ.get("SB", _DRAWN)) if self.config.proposal == "sightings" else 1.0
         self._kept = float(np.sqrt(1.0 - self._spread_by**2))
+        self._foreseen = self._particles.poses
         self._pose, self._spread = pose, covariance
         self._numbers: dict[int, int] = {}
         self._count = 0
@@ -157,13 +159,10 @@ class FiniteSetSlam:
         if len(reference):
             off = exponential((particles.biases - reference) @ gain.T)
             particles.poses = compose(particles.poses, off)
-        foreseen = particles.poses.copy()
-        particles.own(len(z))
-        log_factors, explained, tallies, ways = self._carry(frame, z, root)
-        if not particles.weigh(log_factors):
-            self.recovered += 1
+        self._foreseen = particles.poses.copy()
+        explained, tallies, ways = self._carry(frame, z, root)
         if len(reference):
-            off = logarithm(compose(inverse(foreseen), particles.poses))
+            off = logarithm(compose(inverse(self._foreseen), particles.poses))
             left = self._kept * rotated(self._left, -particles.poses[:, 2])
             particles.biases = particles.biases + self._ahead.learn(cross, ways, left, off, particles.weights)
         self.frame_used = round(float(particles.weights @ explained.sum(axis=1)))
@@ -178,48 +177,66 @@ class FiniteSetSlam:
         self.frames_taken += 1
 
     def _carry(self, frame: Sightings, z: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Every particle through the frame: ln of its factor (N,), explained (N, M), tallies (N, 2, RINGS)."""
+        """Every particle through the frame, weighed: explained (N, M), tallies (N, 2, RINGS) and ways (N, 3, 3)."""
         particles, config = self._particles, self.config
         number = len(particles)
         set_rates(self._rules, self.rates, self.sensor)
-        profile = self.rates.profile
-        log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
         tallies, ways = np.zeros((number, 2, RINGS)), np.empty((number, 3, 3))
         normals = self.rng.standard_normal((number, 3))
-        beams, noise = _beams(frame), _noise(frame, self.extent)
         by_motion = config.proposal == "motion"
+        begin = (self._engine.setup, self._rules, self.rates.profile, _beams(frame), _noise(frame, self.extent))
+        way = (root, self._ahead.delta, z, self.frames_taken)
+        how = (
+            kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
+            not (by_motion and config.method == "srckf-phd"),
+            self._spread_by,
+            normals,
+        )
+        if config.method == "mh-fastslam":
+            return self._branch(begin, way, how, tallies, ways)
+        particles.own(len(z))
+        maps = (particles.blocks, particles.counts, particles.slots, particles.poses)
+        kind = kernel.BERNOULLI if config.method == "pmb" else kernel.PHD
+        log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
+        out = (self._left, ways, log_factors, explained, tallies)
 
         def part(first: int, last: int) -> None:
-            kernel.step_particles(
-                self._engine.setup,
-                self._rules,
-                profile,
-                beams,
-                noise,
-                particles.blocks,
-                particles.counts,
-                particles.slots,
-                particles.poses,
-                root,
-                self._ahead.delta,
-                z,
-                self.frames_taken,
-                kernel.BERNOULLI if config.method == "pmb" else kernel.PHD,
-                kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
-                not (by_motion and config.method == "srckf-phd"),
-                self._spread_by,
-                normals,
-                first,
-                last,
-                self._left,
-                ways,
-                log_factors,
-                explained,
-                tallies,
-            )
+            kernel.step_particles(*begin, *maps, *way, kind, *how, first, last, *out)
 
         self._in_threads(part, number)
-        return log_factors, explained, tallies, ways
+        if not particles.weigh(log_factors):
+            self.recovered += 1
+        return explained, tallies, ways
+
+    def _branch(
+        self,
+        begin: tuple[np.ndarray, ...],
+        way: tuple[np.ndarray, np.ndarray, np.ndarray, int],
+        how: tuple[int, bool, float, np.ndarray],
+        tallies: np.ndarray,
+        ways: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
+        """The frame by hypotheses: every particle becomes several, of which as many as there were go on."""
+        particles, branches, z = self._particles, self.config.branches, way[2]
+        number = len(particles)
+        rows, counts = particles.room_for_children(branches, len(z))
+        maps = (particles.blocks, particles.counts, particles.slots, particles.poses)
+        logs, made = np.full(number * branches, -np.inf), np.zeros(number, dtype=np.int64)
+        explained = np.zeros((number * branches, len(z)))
+        out = (self._left, ways, rows, counts, logs, made, explained, tallies)
+
+        def part(first: int, last: int) -> None:
+            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)
+
+        self._in_threads(part, number)
+        children = np.flatnonzero(np.arange(branches) < made[:, None])
+        weights = particles.log_weights[children // branches] + np.nan_to_num(logs[children], nan=-np.inf)
+        if not np.isfinite(weights.max()):
+            self.recovered += 1
+            children, weights = np.arange(number) * branches, np.zeros(number)
+        parents = particles.survive(children, weights, branches, float(self.rng.random()))
+        self._left, self._foreseen = self._left[parents], self._foreseen[parents]
+        return explained[particles.slots], tallies[parents], ways[parents]
 
     def _in_threads(self, part: object, number: int) -> None:
         threads = min(self.config.threads or os.cpu_count() or 1, max(number // (_PARALLEL // 2), 1))
