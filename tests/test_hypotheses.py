@@ -330,7 +330,9 @@ def step(runs, proposal, known_pose=True):
     before, counts = blocks.copy(), COUNTS.copy()
     frame = (make_setup(), make_rules(3), np.full(4, DETECTION), NO_BEAMS, NOISE)
     particles = (blocks, counts, SLOTS, poses, ROOT, np.zeros(3), z, 7, proposal, known_pose, 1.0, normals)
-    results = [out[name] for name in ("left", "ways", "blocks", "counts", "logs", "children", "explained", "tallies")]
+    results = [
+        out[name] for name in ("left", "ways", "blocks", "counts", "logs", "children", "explained", "tallies")
+    ]
     for first, last in runs:
         step_hypotheses(*frame, *particles, first, last, *results)
     np.testing.assert_array_equal(blocks, before)

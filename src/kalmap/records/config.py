@@ -206,9 +206,9 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     proposal: "sightings" draws a pose that the frame makes likely, "motion" from odometry alone (as published).
     weighting: what of the map weighs a particle ("rb-phd", "srckf-phd"); None: what the method has by itself.
     detection: probability that a landmark well in view is sighted; detection_far: the same at the sensor's greatest
-        range, falling straight from `detection` at the sensor (None: it does not fall). clutter: expected false sightings a frame, uniform
-        in range and bearing. new_rate: expected first sightings a frame. estimate: these are where to start,
-        the filter learns them as it goes, detection in rings of range.
+        range, falling straight from `detection` at the sensor (None: it does not fall). clutter: expected false
+        sightings a frame, uniform in range and bearing. new_rate: expected first sightings a frame. estimate: detection
+        and clutter are where to start, the filter learns them as it goes, detection in rings of range.
     gate: probability inside which a pair counts. prune: weight below which a component is dropped. merge: squared
         Mahalanobis distance within which two are one. cap: most components of a particle's map.
     feature: weight or existence from which a component is a landmark of the result.

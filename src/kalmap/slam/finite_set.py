@@ -45,7 +45,7 @@ from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, s
 from kalmap.slam.window import Revisions
 
 _NO_BEAMS = np.zeros((0, 2))
-_DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays as the particle's own covariance
+_DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays with the particle
 _INTENSITIES = ("rb-phd", "srckf-phd")
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
@@ -95,7 +95,7 @@ class FiniteSetSlam:
         self.rates = rates_from_config(self.config)
         self._rules = rules_from_config(self.config, self.sensor)
         self._left = np.zeros((number, 3, 3))
-        self._spread_by = float(os.environ.get("SB", _DRAWN)) if self.config.proposal == "sightings" else 1.0
+        self._spread_by = _DRAWN if self.config.proposal == "sightings" else 1.0
         self._kept = float(np.sqrt(1.0 - self._spread_by**2))
         self._foreseen = self._particles.poses
         self._pose, self._spread = pose, covariance
@@ -180,11 +180,17 @@ class FiniteSetSlam:
         """Every particle through the frame, weighed: explained (N, M), tallies (N, 2, RINGS) and ways (N, 3, 3)."""
         particles, config = self._particles, self.config
         number = len(particles)
-        set_rates(self._rules, self.rates, self.sensor)
+        set_rates(self._rules, self.rates, config.new_rate, self.sensor)
         tallies, ways = np.zeros((number, 2, RINGS)), np.empty((number, 3, 3))
         normals = self.rng.standard_normal((number, 3))
         by_motion = config.proposal == "motion"
-        begin = (self._engine.setup, self._rules, self.rates.profile, _beams(frame), _noise(frame, self.extent))
+        begin = (
+            self._engine.setup,
+            self._rules,
+            self.rates.profile,
+            _beams(frame),
+            _noise(frame, self.extent),
+        )
         way = (root, self._ahead.delta, z, self.frames_taken)
         how = (
             kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
@@ -226,7 +232,7 @@ class FiniteSetSlam:
         out = (self._left, ways, rows, counts, logs, made, explained, tallies)
 
         def part(first: int, last: int) -> None:
-            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)
+            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)  # type: ignore[call-arg]
 
         self._in_threads(part, number)
         children = np.flatnonzero(np.arange(branches) < made[:, None])
@@ -252,7 +258,7 @@ class FiniteSetSlam:
         if self.config.estimate:
             weights = self._particles.weights
             could, were = np.einsum("n,nkr->kr", weights, tallies)
-            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)), self._count)
+            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)))
 
     def _say(self) -> None:
         """What is asked for at every instant, once a frame."""

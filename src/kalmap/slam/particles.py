@@ -64,7 +64,9 @@ class Particles:
             self._spare = np.zeros((rows, room, COLUMNS)), np.zeros(rows, dtype=np.int64)
         return self._spare
 
-    def survive(self, children: np.ndarray, log_weights: np.ndarray, branches: int, uniform: float) -> np.ndarray:
+    def survive(
+        self, children: np.ndarray, log_weights: np.ndarray, branches: int, uniform: float
+    ) -> np.ndarray:
         """Go on as at most N of the children, with their maps; returns the parent of each (N,).
 
         children (C,): where they stand among the rooms, C >= N; log_weights (C,): theirs. The choice leaves every

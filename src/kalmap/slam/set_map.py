@@ -9,7 +9,6 @@ from kalmap.kernels import set_layout as layout
 from kalmap.records import Landmarks
 from kalmap.slam.particles import Particles
 
-
 _KNOWN = 3.0  # sightings
 
 

@@ -30,8 +30,9 @@ _WEIGHTINGS = {
 class Rates(msgspec.Struct):
     """Probability of detection in rings of range, and false sightings a frame, learnt with an exponential memory.
 
-    stated (RINGS,): probabilities of the settings; could, were (RINGS,): features that could be sighted and those that were; frames, false_: frames and sightings
-    that no landmark explains. All hold what the settings state at first, and fall back to it where nothing comes.
+    stated (RINGS,): probabilities of the settings; could, were (RINGS,): features that could be sighted and those
+    that were; frames, false_: frames and sightings that no landmark explains. All hold
+    what the settings state at first, and fall back to it where nothing comes.
     """
 
     stated: np.ndarray
@@ -40,14 +41,9 @@ class Rates(msgspec.Struct):
     were: np.ndarray
     frames: float
     false_: float
-    new: float
-    whole: float = _WORTH_FRAMES
-    most: float = 0.0
 
-    def take(self, could: np.ndarray, were: np.ndarray, unexplained: float, landmarks: float) -> None:
-        """A frame's tallies (RINGS,), how many of its sightings no landmark explains, and of landmarks there are."""
-        self.whole += 1.0
-        self.most = max(self.most, landmarks)
+    def take(self, could: np.ndarray, were: np.ndarray, unexplained: float) -> None:
+        """A frame's tallies (RINGS,), and how many of its sightings no landmark explains."""
         prior = (1.0 - _MEMORY) * _WORTH
         self.could = _MEMORY * self.could + prior + could
         self.were = _MEMORY * self.were + prior * self.stated + np.minimum(were, could)
@@ -65,11 +61,6 @@ class Rates(msgspec.Struct):
         """False sightings a frame."""
         return max(self.false_ / self.frames, _LEAST_CLUTTER)
 
-    @property
-    def new_rate(self) -> float:
-        """First sightings a frame: the most landmarks that there ever were, over all frames."""
-        return (_WORTH_FRAMES * self.new + self.most) / self.whole
-
 
 def rates_from_config(config: FiniteSetConfig) -> Rates:
     """The rates that the settings state."""
@@ -82,7 +73,6 @@ def rates_from_config(config: FiniteSetConfig) -> Rates:
         _WORTH * stated,
         _WORTH_FRAMES,
         _WORTH_FRAMES * config.clutter,
-        config.new_rate,
     )
 
 
@@ -100,12 +90,12 @@ def rules_from_config(config: FiniteSetConfig, sensor: RangeBearing) -> np.ndarr
     return rules
 
 
-def set_rates(rules: np.ndarray, rates: Rates, sensor: RangeBearing) -> None:
+def set_rates(rules: np.ndarray, rates: Rates, new_rate: float, sensor: RangeBearing) -> None:
     """Write the clutter's density and the share of new landmarks among what no landmark explains."""
     clutter = rates.false_rate
     rules[layout.CLUTTER_RATE] = clutter
     rules[layout.CLUTTER] = clutter / (sensor.max_range * min(sensor.field_of_view, 2.0 * math.pi))
-    rules[layout.BIRTH] = rates.new_rate / (rates.new_rate + clutter)
+    rules[layout.BIRTH] = new_rate / (new_rate + clutter)
 
 
 def weighting_of(config: FiniteSetConfig) -> int:
