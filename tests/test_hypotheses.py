@@ -29,7 +29,7 @@ from matchings import matchings
 
 DETECTION, CLUTTER, CLUTTER_RATE, BIRTH = 0.8, 0.05, 2.0, 0.3
 SIGMA_R, SIGMA_B, GATE = 0.2, 0.02, 16.0
-NOISE = np.array([-1.0, 0.0, 0.0])
+NOISE = np.array([-1.0, 0.0, 0.0, 0.0])
 NO_BEAMS = np.empty((0, 2))
 POSE = np.array([0.5, -1.0, 0.3])
 
@@ -319,6 +319,7 @@ def step(runs, proposal, known_pose=True):
     out = {
         "poses": poses,
         "left": np.full((6, 3, 3), np.nan),
+        "ways": np.full((6, 3, 3), np.nan),
         "blocks": np.zeros((18, 40, at.COLUMNS)),
         "counts": np.zeros(18, np.int64),
         "logs": np.zeros(18),
@@ -328,8 +329,10 @@ def step(runs, proposal, known_pose=True):
     }
     before, counts = blocks.copy(), COUNTS.copy()
     frame = (make_setup(), make_rules(3), np.full(4, DETECTION), NO_BEAMS, NOISE)
-    particles = (blocks, counts, SLOTS, poses, ROOT, z, 7, proposal, known_pose, 1.0, normals)
-    results = [out[name] for name in ("left", "blocks", "counts", "logs", "children", "explained", "tallies")]
+    particles = (blocks, counts, SLOTS, poses, ROOT, np.zeros(3), z, 7, proposal, known_pose, 1.0, normals)
+    results = [
+        out[name] for name in ("left", "ways", "blocks", "counts", "logs", "children", "explained", "tallies")
+    ]
     for first, last in runs:
         step_hypotheses(*frame, *particles, first, last, *results)
     np.testing.assert_array_equal(blocks, before)

@@ -20,7 +20,7 @@ from kalmap.kernels.frame import (
     pair_distances,
     write_back,
 )
-from kalmap.kernels.particles import place
+from kalmap.kernels.particles import place, with_kept
 from kalmap.kernels.proposal import world_root
 from kalmap.kernels.ranking import best_associations
 from kalmap.kernels.set_layout import (
@@ -173,6 +173,7 @@ def step_hypotheses(
     slots,
     poses,
     root,
+    delta,
     z,
     number,
     proposal,
@@ -182,6 +183,7 @@ def step_hypotheses(
     first,
     last,
     left,
+    ways,
     child_blocks,
     child_counts,
     child_logs,
@@ -196,9 +198,13 @@ def step_hypotheses(
     (N K,), ln of the factor on the particle's weight, explained (N K, M); children (N,): how many. They share its pose.
     """
     branches = int(rules[BRANCHES])
-    pose, within = np.empty(3), np.zeros((3, 3))
+    pose, within, whole = np.empty(3), np.zeros((3, 3)), root.copy()
+    kept = math.sqrt(max(1.0 - spread_by * spread_by, 0.0))
     for p in range(first, last):
         block, count = blocks[slots[p]], counts[slots[p]]
+        if kept > 0.0:
+            with_kept(root, kept * left[p], delta, poses[p, 2], whole)
+        ways[p] = whole
         log_factor = place(
             setup,
             rules,
@@ -208,7 +214,7 @@ def step_hypotheses(
             block,
             count,
             poses[p],
-            root,
+            whole,
             z,
             proposal,
             spread_by,
@@ -219,6 +225,8 @@ def step_hypotheses(
         poses[p] = pose
         if not known_pose:
             world_root(pose[2], root, within)
+        elif kept > 0.0:
+            within[:] = kept * left[p]
         low, high = p * branches, (p + 1) * branches
         children[p] = hypotheses_update(
             setup,

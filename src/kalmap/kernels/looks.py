@@ -111,10 +111,18 @@ def sight_jacobian(setup, x, y, heading, px, py, matrix):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def noise_root(setup, given, distance):
-    """(s_r, c, s_b): lower root of a sighting's noise at that distance; `given` (3,): the frame's own, -1: none."""
+    """(s_r, c, s_b): lower root of a sighting's noise at that distance.
+
+    given (4,): root of what the frame itself states, -1: nothing; then, m, how far apart the sightings of one landmark
+    from different sides are.
+    """
     if given[0] >= 0.0:
         return given[0], given[1], given[2]
-    return math.hypot(setup[SIGMA_RANGE], setup[RATIO_RANGE] * distance), 0.0, setup[SIGMA_BEARING]
+    s_r = math.hypot(setup[SIGMA_RANGE], setup[RATIO_RANGE] * distance)
+    if given[3] == 0.0:
+        return s_r, 0.0, setup[SIGMA_BEARING]
+    across = given[3] / max(distance, given[3])
+    return math.hypot(s_r, given[3]), 0.0, math.hypot(setup[SIGMA_BEARING], across)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -175,7 +183,7 @@ def look(setup, pose, root, component, noise, scratch, out):
     """Fill one row `out` (LOOK,) but for the probability of detection.
 
     pose (3,); root (3, 3): lower root of the pose's additive covariance, zero for a known pose. component
-    (COLUMNS,). noise (3,): see `noise_root`. scratch: (4, 12) and more rows than that.
+    (COLUMNS,). noise (4,): see `noise_root`. scratch: (4, 12) and more rows than that.
     """
     first, second, matrix = scratch[0], scratch[1], scratch[2:4, :5]
     if int(setup[RULE]) == JACOBIAN:

@@ -1,11 +1,13 @@
 """A frame through a run of particles: propose, update the map, weigh."""
 
+import math
+
 import numpy as np
 from numba import njit
 
 from kalmap.kernels.bernoulli import bernoulli_update
 from kalmap.kernels.phd import phd_update
-from kalmap.kernels.proposal import moved, propose, world_root
+from kalmap.kernels.proposal import lower_rows, moved, propose, world_root
 
 PHD, BERNOULLI = 0, 1
 BY_MOTION, BY_SIGHTINGS = 0, 1
@@ -40,6 +42,27 @@ def place(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def with_kept(root, left, delta, heading, out):
+    """Root of what is not known of a particle's pose at the end of a way, in the body's frame: (3, 3), lower.
+
+    root: of the way alone. left: of the pose at its beginning, in the world's axes. delta (3,): the way, in the body's
+    frame of its beginning. heading: rad, at its end.
+    """
+    columns = np.empty((3, 6))
+    columns[:, :3] = root
+    turn = heading - delta[2]
+    dx = math.cos(turn) * delta[0] - math.sin(turn) * delta[1]
+    dy = math.sin(turn) * delta[0] + math.cos(turn) * delta[1]
+    cosine, sine = math.cos(heading), math.sin(heading)
+    for k in range(3):
+        x, y = left[0, k] - dy * left[2, k], left[1, k] + dx * left[2, k]
+        columns[0, 3 + k] = cosine * x + sine * y
+        columns[1, 3 + k] = cosine * y - sine * x
+        columns[2, 3 + k] = left[2, k]
+    lower_rows(columns, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_particles(
     setup,
     rules,
@@ -51,6 +74,7 @@ def step_particles(
     slots,
     poses,
     root,
+    delta,
     z,
     number,
     kind,
@@ -61,6 +85,7 @@ def step_particles(
     first,
     last,
     left,
+    ways,
     log_factors,
     explained,
     tallies,
@@ -74,9 +99,13 @@ def step_particles(
     draws, multiplied with spread_by. left (N, 3, 3): root of the covariance that is left of each pose. log_factors
     (N,), explained (N, M), tallies (N, 2, RINGS): out.
     """
-    pose, within = np.empty(3), np.zeros((3, 3))
+    pose, within, whole = np.empty(3), np.zeros((3, 3)), root.copy()
+    kept = math.sqrt(max(1.0 - spread_by * spread_by, 0.0))
     for p in range(first, last):
         block, count = blocks[slots[p]], counts[slots[p]]
+        if kept > 0.0:
+            with_kept(root, kept * left[p], delta, poses[p, 2], whole)
+        ways[p] = whole
         log_factor = place(
             setup,
             rules,
@@ -86,7 +115,7 @@ def step_particles(
             block,
             count,
             poses[p],
-            root,
+            whole,
             z,
             proposal,
             spread_by,
@@ -97,6 +126,8 @@ def step_particles(
         poses[p] = pose
         if not known_pose:
             world_root(pose[2], root, within)
+        elif kept > 0.0:
+            within[:] = kept * left[p]
         if kind == PHD:
             count, factor = phd_update(
                 setup,

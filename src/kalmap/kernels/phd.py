@@ -55,6 +55,7 @@ from kalmap.kernels.set_layout import (
     Y,
 )
 
+_KNOWN = 3.0  # sightings from which on a component tells how often features are sighted
 _FAR = 60.0  # squared distance beyond which a component adds nothing to the intensity at a place
 
 
@@ -182,8 +183,10 @@ def phd_update(setup, rules, profile, beams, pose, root, noise, block, count, z,
     after = 0.0
     for j in range(seen):
         after += updated[j]
-        if prior[j, WEIGHT] >= 0.5:
-            count_ring(rules, looks[j, RANGE], min(prior[j, WEIGHT], 1.0), hits[j], tally[0], tally[1])
+        if (
+            prior[j, SEEN] >= _KNOWN
+        ):  # whatever its weight: those that were not missed lately would bias the share
+            count_ring(rules, looks[j, RANGE], 1.0, min(hits[j], 1.0), tally[0], tally[1])
     kept = np.empty((total + sightings, COLUMNS))
     reduced = reduce(rules, rows, total, kept)
     strategy = int(rules[WEIGHTING])

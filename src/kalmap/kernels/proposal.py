@@ -56,19 +56,29 @@ def world_root(heading, root, out):
         turned[0, k] = cosine * root[0, k] - sine * root[1, k]
         turned[1, k] = sine * root[0, k] + cosine * root[1, k]
         turned[2, k] = root[2, k]
+    lower_rows(turned, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lower_rows(rows, out):
+    """Lower root (3, 3) of rows rows' for rows (3, K), by Gram-Schmidt; overwrites rows."""
+    width = rows.shape[1]
     out[:, :] = 0.0
-    for r in range(3):  # Gram-Schmidt over the rows
+    for r in range(3):
         for c in range(r):
             total = 0.0
-            for k in range(3):
-                total += turned[r, k] * turned[c, k]
+            for k in range(width):
+                total += rows[r, k] * rows[c, k]
             out[r, c] = total if out[c, c] > 0.0 else 0.0
-            for k in range(3):
-                turned[r, k] -= out[r, c] * turned[c, k]
-        size = math.sqrt(turned[r, 0] ** 2 + turned[r, 1] ** 2 + turned[r, 2] ** 2)
+            for k in range(width):
+                rows[r, k] -= out[r, c] * rows[c, k]
+        size = 0.0
+        for k in range(width):
+            size += rows[r, k] * rows[r, k]
+        size = math.sqrt(size)
         out[r, r] = size
-        for k in range(3):
-            turned[r, k] = turned[r, k] / size if size > 0.0 else 0.0
+        for k in range(width):
+            rows[r, k] = rows[r, k] / size if size > 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -242,4 +252,4 @@ def _sample(pose, root, e, factor, log_determinant, normal, spread_by, out, left
             for k in range(min(r, c) + 1):
                 product[r, c] += root[r, k] * factor[k, c]
     world_root(out[2], product, left)
-    return -0.5 * prior + 0.5 * spread_by * own - 0.5 * log_determinant
+    return -0.5 * prior + 0.5 * spread_by * spread_by * own - 0.5 * log_determinant

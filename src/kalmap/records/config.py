@@ -206,9 +206,10 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     particles: how many. threads: None for one a processor; the answer does not depend on it.
     proposal: "sightings" draws a pose that the frame makes likely, "motion" from odometry alone (as published).
     weighting: what of the map weighs a particle ("rb-phd", "srckf-phd"); None: what the method has by itself.
-    detection: probability that a landmark well in view is sighted. clutter: expected false sightings a frame, uniform
-        in range and bearing. new_rate: expected first sightings a frame. estimate: the first two are where to start,
-        the filter learns them as it goes, detection in rings of range.
+    detection: probability that a landmark well in view is sighted; detection_far: the same at the sensor's greatest
+        range, falling straight from `detection` at the sensor (None: it does not fall). clutter: expected false
+        sightings a frame, uniform in range and bearing. new_rate: expected first sightings a frame. estimate: detection
+        and clutter are where to start, the filter learns them as it goes, detection in rings of range.
     gate: probability inside which a pair counts. prune: weight below which a component is dropped. merge: squared
         Mahalanobis distance within which two are one. cap: most components of a particle's map.
     feature: weight or existence from which a component is a landmark of the result.
@@ -222,6 +223,7 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     proposal: Proposal = "sightings"
     weighting: Weighting | None = None
     detection: Share = 0.9
+    detection_far: Share | None = None
     clutter: NonNegative = 1.0
     new_rate: Positive = 0.2
     estimate: bool = True

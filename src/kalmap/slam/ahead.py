@@ -52,9 +52,9 @@ class Ahead:
         return self.belief.robot_covariance()[:3, :3]
 
     def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(root (3, 3) of noise and biases together, G (3, nb), K (nb, 3)), in the body's frame at the way's end.
+        """(root (3, 3) of noise and biases together, G (3, nb), cross (nb, 3)), in the body's frame at the way's end.
 
-        K: what the biases learn from the part of a sampled way that odometry did not foresee.
+        cross: covariance of the biases with the way.
         """
         whole = self.belief.robot_covariance()
         cosine, sine = math.cos(self.delta[2]), math.sin(self.delta[2])
@@ -68,12 +68,21 @@ class Ahead:
         cross = turn @ whole[:3, 3:]
         bias = whole[3:, 3:]
         g = cross @ np.linalg.pinv(bias) if len(bias) else np.zeros((3, 0))
-        k = cross.T @ np.linalg.pinv(total, hermitian=True)
-        return root, g, k
+        return root, g, cross.T
 
-    def learn(self, k: np.ndarray, g: np.ndarray) -> None:
-        """Shrink the biases' covariance by what a sampled way tells."""
-        if len(self.covariance):
-            kept = np.eye(len(self.covariance)) - k @ g
-            shrunk = kept @ self.covariance
-            self.covariance = 0.5 * (shrunk + shrunk.T)
+    def learn(
+        self, cross: np.ndarray, ways: np.ndarray, left: np.ndarray, off: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
+        """Shrink the biases' covariance by what the particles' poses tell, and say how their means move: (N, nb).
+
+        cross (nb, 3): see `parts`. ways (N, 3, 3): root of what was not known of each pose before the frame, left
+        (N, 3, 3): of what it keeps of that; off (N, 3): how far it was put from where odometry foresaw it; all in the
+        body's frame.
+        """
+        whole = ways @ ways.transpose(0, 2, 1)
+        k = cross @ np.linalg.pinv(whole, hermitian=True)
+        told = np.einsum("n,nij->ij", weights, whole - left @ left.transpose(0, 2, 1))
+        mean = np.einsum("n,nij->ij", weights, k)
+        shrunk = self.covariance - mean @ told @ mean.T
+        self.covariance = 0.5 * (shrunk + shrunk.T)
+        return np.einsum("nij,nj->ni", k, off)

@@ -122,6 +122,7 @@ def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSla
             start=log.start,
             start_covariance=log.start_covariance,
             seed=config.seed,
+            extent=config.association.extent,
             detector=detector_from_config(config.perception),
         )
     lineariser, scope = resolve_filter(config.filter)

@@ -12,6 +12,7 @@ from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.geometry.se2 import compose, exponential, inverse, logarithm, quarter_turn, rotate
 from kalmap.kernels import particles as kernel
 from kalmap.kernels import set_layout
+from kalmap.kernels.hypotheses import step_hypotheses
 from kalmap.kernels.regression import square_root
 from kalmap.models import RangeBearing, VelocitySteering
 from kalmap.models.motion import BuiltInMotion
@@ -39,12 +40,13 @@ from kalmap.slam.checks import (
 )
 from kalmap.slam.engines import BadSampleError, CompiledEngine
 from kalmap.slam.particles import Particles
-from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread
+from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread, rotated
 from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, set_rates
 from kalmap.slam.window import Revisions
 
 _NO_BEAMS = np.zeros((0, 2))
-_NO_NOISE = np.full(3, -1.0)
+_DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays with the particle
+_INTENSITIES = ("rb-phd", "srckf-phd")
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
 
@@ -53,7 +55,8 @@ class FiniteSetSlam:
 
     motion, sensor: built-in models. config: see `FiniteSetConfig`. start, start_covariance: (3,) pose and its (3, 3),
     from which the particles are drawn. seed: of everything that is drawn; the same seed gives the same answer however
-    many threads there are. detector: turns scans into sightings, if scans come.
+    many threads there are. extent: m, how far apart the sightings of one landmark from different sides are, as in
+    `AssociationConfig`. detector: turns scans into sightings, if scans come.
 
     An event that cannot be used raises EventError and leaves the state as it was. recovered: how often all particles
     had lost all weight; they then go on with equal ones.
@@ -68,12 +71,13 @@ class FiniteSetSlam:
         start: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
         start_covariance: np.ndarray | None = None,
         seed: int = 1,
+        extent: float = 0.0,
         detector: Detector | None = None,
     ) -> None:
         self.motion = VelocitySteering() if motion is None else motion
         self.sensor = RangeBearing() if sensor is None else sensor
         self.config = FiniteSetConfig(method="pmb") if config is None else config
-        self.detector = detector
+        self.detector, self.extent = detector, extent
         if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
             raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
         self.lineariser: BuiltIn = Cubature() if self.config.method == "srckf-phd" else Jacobian()
@@ -91,6 +95,9 @@ class FiniteSetSlam:
         self.rates = rates_from_config(self.config)
         self._rules = rules_from_config(self.config, self.sensor)
         self._left = np.zeros((number, 3, 3))
+        self._spread_by = _DRAWN if self.config.proposal == "sightings" else 1.0
+        self._kept = float(np.sqrt(1.0 - self._spread_by**2))
+        self._foreseen = self._particles.poses
         self._pose, self._spread = pose, covariance
         self._numbers: dict[int, int] = {}
         self._count = 0
@@ -146,74 +153,96 @@ class FiniteSetSlam:
         check_frame(frame, self._moved)
         check_sightings(frame, self._engine.noises(frame.values)[1])
         particles, z = self._particles, np.ascontiguousarray(frame.values)
-        root, gain, learning = self._ahead.parts()
+        root, gain, cross = self._ahead.parts()
         delta, reference = self._ahead.delta.copy(), self._ahead.reference
         particles.poses = compose(particles.poses, delta)
         if len(reference):
             off = exponential((particles.biases - reference) @ gain.T)
             particles.poses = compose(particles.poses, off)
-        foreseen = particles.poses.copy()
-        particles.own(len(z))
-        log_factors, explained, tallies = self._carry(frame, z, root)
-        if not particles.weigh(log_factors):
-            self.recovered += 1
+        self._foreseen = particles.poses.copy()
+        explained, tallies, ways = self._carry(frame, z, root)
         if len(reference):
-            particles.biases = (
-                particles.biases + logarithm(compose(inverse(foreseen), particles.poses)) @ learning.T
-            )
-            self._ahead.learn(learning, gain)
-        self._learn_rates(explained, tallies)
+            off = logarithm(compose(inverse(self._foreseen), particles.poses))
+            left = self._kept * rotated(self._left, -particles.poses[:, 2])
+            particles.biases = particles.biases + self._ahead.learn(cross, ways, left, off, particles.weights)
         self.frame_used = round(float(particles.weights @ explained.sum(axis=1)))
         self.frame_sightings = frame
         self._say()
+        self._learn_rates(explained, tallies)
         if particles.effective < self.config.resample * len(particles):
-            particles.resample(float(self.rng.random()))
+            self._left = self._left[particles.resample(float(self.rng.random()))]
             self.resampled += 1
         weights = particles.weights
         self._ahead.start(weights @ particles.biases)
         self.frames_taken += 1
 
     def _carry(self, frame: Sightings, z: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Every particle through the frame: ln of its factor (N,), explained (N, M), tallies (N, 2, RINGS)."""
+        """Every particle through the frame, weighed: explained (N, M), tallies (N, 2, RINGS) and ways (N, 3, 3)."""
         particles, config = self._particles, self.config
         number = len(particles)
         set_rates(self._rules, self.rates, config.new_rate, self.sensor)
-        profile = self.rates.profile
-        log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
-        tallies = np.zeros((number, 2, RINGS))
+        tallies, ways = np.zeros((number, 2, RINGS)), np.empty((number, 3, 3))
         normals = self.rng.standard_normal((number, 3))
-        beams, noise = _beams(frame), _noise(frame)
         by_motion = config.proposal == "motion"
+        begin = (
+            self._engine.setup,
+            self._rules,
+            self.rates.profile,
+            _beams(frame),
+            _noise(frame, self.extent),
+        )
+        way = (root, self._ahead.delta, z, self.frames_taken)
+        how = (
+            kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
+            not (by_motion and config.method == "srckf-phd"),
+            self._spread_by,
+            normals,
+        )
+        if config.method == "mh-fastslam":
+            return self._branch(begin, way, how, tallies, ways)
+        particles.own(len(z))
+        maps = (particles.blocks, particles.counts, particles.slots, particles.poses)
+        kind = kernel.BERNOULLI if config.method == "pmb" else kernel.PHD
+        log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
+        out = (self._left, ways, log_factors, explained, tallies)
 
         def part(first: int, last: int) -> None:
-            kernel.step_particles(
-                self._engine.setup,
-                self._rules,
-                profile,
-                beams,
-                noise,
-                particles.blocks,
-                particles.counts,
-                particles.slots,
-                particles.poses,
-                root,
-                z,
-                self.frames_taken,
-                kernel.BERNOULLI if config.method == "pmb" else kernel.PHD,
-                kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
-                not (by_motion and config.method == "srckf-phd"),
-                1.0,
-                normals,
-                first,
-                last,
-                self._left,
-                log_factors,
-                explained,
-                tallies,
-            )
+            kernel.step_particles(*begin, *maps, *way, kind, *how, first, last, *out)
 
         self._in_threads(part, number)
-        return log_factors, explained, tallies
+        if not particles.weigh(log_factors):
+            self.recovered += 1
+        return explained, tallies, ways
+
+    def _branch(
+        self,
+        begin: tuple[np.ndarray, ...],
+        way: tuple[np.ndarray, np.ndarray, np.ndarray, int],
+        how: tuple[int, bool, float, np.ndarray],
+        tallies: np.ndarray,
+        ways: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
+        """The frame by hypotheses: every particle becomes several, of which as many as there were go on."""
+        particles, branches, z = self._particles, self.config.branches, way[2]
+        number = len(particles)
+        rows, counts = particles.room_for_children(branches, len(z))
+        maps = (particles.blocks, particles.counts, particles.slots, particles.poses)
+        logs, made = np.full(number * branches, -np.inf), np.zeros(number, dtype=np.int64)
+        explained = np.zeros((number * branches, len(z)))
+        out = (self._left, ways, rows, counts, logs, made, explained, tallies)
+
+        def part(first: int, last: int) -> None:
+            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)  # type: ignore[call-arg]
+
+        self._in_threads(part, number)
+        children = np.flatnonzero(np.arange(branches) < made[:, None])
+        weights = particles.log_weights[children // branches] + np.nan_to_num(logs[children], nan=-np.inf)
+        if not np.isfinite(weights.max()):
+            self.recovered += 1
+            children, weights = np.arange(number) * branches, np.zeros(number)
+        parents = particles.survive(children, weights, branches, float(self.rng.random()))
+        self._left, self._foreseen = self._left[parents], self._foreseen[parents]
+        return explained[particles.slots], tallies[parents], ways[parents]
 
     def _in_threads(self, part: object, number: int) -> None:
         threads = min(self.config.threads or os.cpu_count() or 1, max(number // (_PARALLEL // 2), 1))
@@ -237,7 +266,12 @@ class FiniteSetSlam:
         self._pose = mean_pose(particles)
         self._spread = pose_spread(particles, self._pose, self._left)
         rows = particles.map_of(self.best)
-        self._count = int((rows[:, set_layout.WEIGHT] >= self.config.feature).sum())
+        self._count = len(self._features(rows))
+
+    def _features(self, rows: np.ndarray) -> np.ndarray:
+        """Which components of a map (C, COLUMNS) are landmarks of the result, oldest first: (K,) indices."""
+        missed = 1.0 - float(self.rates.profile.max()) if self.config.method in _INTENSITIES else 1.0
+        return features(rows, self.config.feature, missed)
 
     # --- what it says -----------------------------------------------------------------------------------------
 
@@ -282,7 +316,7 @@ class FiniteSetSlam:
 
     def twin(self) -> FiniteSetSlam:
         """A fresh filter with the same settings, at the origin."""
-        return FiniteSetSlam(self.motion, self.sensor, self.config)
+        return FiniteSetSlam(self.motion, self.sensor, self.config, extent=self.extent)
 
     def map(self, particle: int | None = None) -> np.ndarray:
         """(C, COLUMNS) the whole mixture of a particle, the best by default; a copy."""
@@ -292,7 +326,7 @@ class FiniteSetSlam:
         """A snapshot: the mean pose, the best particle's map, and what the particles differ by in the covariances."""
         particles = self._particles
         rows = particles.map_of(self.best)
-        best = rows[features(rows, self.config.feature)]
+        best = rows[self._features(rows)]
         numbers = np.array(
             [self._numbers.setdefault(int(i), len(self._numbers)) for i in best[:, set_layout.ID]],
             dtype=np.int64,
@@ -333,10 +367,10 @@ def _beams(frame: Sightings) -> np.ndarray:
     return np.ascontiguousarray(np.stack([frame.scan.bearings, frame.scan.ranges], axis=1))
 
 
-def _noise(frame: Sightings) -> np.ndarray:
-    """(3,) root of the mean noise that the frame states, -1 where it states none."""
+def _noise(frame: Sightings, extent: float) -> np.ndarray:
+    """(4,) root of the mean noise that the frame states, -1 where it states none; and the landmarks' extent."""
     if frame.covariance is None or not len(frame.covariance):
-        return _NO_NOISE
+        return np.array([-1.0, -1.0, -1.0, extent])
     root = np.zeros((2, 2))
     square_root(frame.covariance.mean(axis=0), 2, root)
-    return np.array([root[0, 0], root[1, 0], root[1, 1]])
+    return np.array([root[0, 0], root[1, 0], root[1, 1], extent])

@@ -12,6 +12,7 @@ from kalmap.records import Landmarks
 from kalmap.slam.particles import Particles
 
 _TINY = 1e-15  # m^2 and rad^2: a pose that is known exactly has a root all the same
+_KNOWN = 3.0  # sightings
 
 
 def mean_pose(particles: Particles) -> np.ndarray:
@@ -31,9 +32,24 @@ def pose_spread(particles: Particles, mean: np.ndarray, left: np.ndarray) -> np.
     return np.asarray(between + within)
 
 
-def features(rows: np.ndarray, threshold: float) -> np.ndarray:
-    """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices."""
-    chosen = np.flatnonzero(rows[:, layout.WEIGHT] >= threshold)
+def rotated(roots: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) roots of pose covariances in axes turned by the angles (N,)."""
+    turned = roots.copy()
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    turned[:, 0] = cosine * roots[:, 0] - sine * roots[:, 1]
+    turned[:, 1] = sine * roots[:, 0] + cosine * roots[:, 1]
+    return turned
+
+
+def features(rows: np.ndarray, threshold: float, missed: float = 1.0) -> np.ndarray:
+    """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices.
+
+    missed: what a miss leaves of a weight. A density has no memory: what was well known falls to that at one miss and
+    stays there once out of view; so what was sighted `_KNOWN` times is one until it was missed twice.
+    """
+    weight = rows[:, layout.WEIGHT]
+    known = (rows[:, layout.SEEN] >= _KNOWN) & (weight >= threshold * missed * missed)
+    chosen = np.flatnonzero((weight >= threshold) | known)
     return chosen[np.argsort(rows[chosen, layout.ID], kind="stable")]
 
 

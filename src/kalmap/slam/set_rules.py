@@ -30,11 +30,12 @@ _WEIGHTINGS = {
 class Rates(msgspec.Struct):
     """Probability of detection in rings of range, and false sightings a frame, learnt with an exponential memory.
 
-    could, were (RINGS,): features that could be sighted and those that were; frames, false_: frames and sightings
-    that no landmark explains. All hold what the settings state at first, and fall back to it where nothing comes.
+    stated (RINGS,): probabilities of the settings; could, were (RINGS,): features that could be sighted and those
+    that were; frames, false_: frames and sightings that no landmark explains. All hold
+    what the settings state at first, and fall back to it where nothing comes.
     """
 
-    detection: float
+    stated: np.ndarray
     clutter: float
     could: np.ndarray
     were: np.ndarray
@@ -45,7 +46,7 @@ class Rates(msgspec.Struct):
         """A frame's tallies (RINGS,), and how many of its sightings no landmark explains."""
         prior = (1.0 - _MEMORY) * _WORTH
         self.could = _MEMORY * self.could + prior + could
-        self.were = _MEMORY * self.were + prior * self.detection + np.minimum(were, could)
+        self.were = _MEMORY * self.were + prior * self.stated + np.minimum(were, could)
         share = (1.0 - _MEMORY) * _WORTH_FRAMES
         self.frames = _MEMORY * self.frames + share + 1.0
         self.false_ = _MEMORY * self.false_ + share * self.clutter + unexplained
@@ -63,11 +64,13 @@ class Rates(msgspec.Struct):
 
 def rates_from_config(config: FiniteSetConfig) -> Rates:
     """The rates that the settings state."""
+    far = config.detection if config.detection_far is None else config.detection_far
+    stated = config.detection + (far - config.detection) * (np.arange(RINGS) + 0.5) / RINGS
     return Rates(
-        config.detection,
+        stated,
         config.clutter,
         np.full(RINGS, _WORTH),
-        np.full(RINGS, _WORTH * config.detection),
+        _WORTH * stated,
         _WORTH_FRAMES,
         _WORTH_FRAMES * config.clutter,
     )
