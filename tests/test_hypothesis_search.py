@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
@@ -36,7 +38,7 @@ class Problem:
         real = (places + off)[shown] + rng.multivariate_normal(np.zeros(2), NOISE, len(shown))
         false = np.c_[rng.uniform(4, 20, m - len(shown)), rng.uniform(-1.0, 1.0, m - len(shown))]
         z = np.vstack([real, false])
-        self.truth = tuple([*shown.tolist(), *[-1] * len(false)])
+        self.truth = (*shown.tolist(), *[-1] * len(false))
         self.nu = z[:, None] - places
         self.noises = np.tile(NOISE, (len(z), 1, 1))
         self.possible = rng.random((len(z), self.c)) < 0.9
@@ -109,7 +111,7 @@ def test_what_the_seeds_do_not_reach_is_not_counted():
     for seed in range(20):
         problem = Problem(seed)
         grown = sorted(problem.found(1)[0], key=lambda given: sum(c >= 0 for c in given))
-        for less, more in zip(grown, grown[1:]):
+        for less, more in itertools.pairwise(grown):
             assert all(a in (-1, b) for a, b in zip(less, more))
         problem.possible[:] = False
         assert problem.found()[0] == [(-1,) * len(problem.nu)]
