@@ -8,6 +8,7 @@ not there. Most frames are not in doubt and cost one filter's update.
 from __future__ import annotations
 
 import math
+import time
 
 import msgspec
 import numpy as np
@@ -56,7 +57,6 @@ class MixtureSlam:
         self.explain = False
         self.frame_revisions: Revisions = {}
         self.association_seconds = 0.0
-        self.split_frames = 0
         self._begun = slam.frames_taken
 
     # --- the filter -------------------------------------------------------------------------------------------
@@ -81,8 +81,7 @@ class MixtureSlam:
         for hypothesis in self._hypotheses:
             hypothesis.slam.explain = self.explain
             grown += self._explained(hypothesis, frame, noises)
-        self._hypotheses = _pruned(_joined(_sorted(grown)), self.most)
-        self.split_frames += len(grown) > len(self._hypotheses) or len(grown) > 1
+        self._hypotheses = _pruned(_sorted(_joined(_sorted(grown))), self.most)
         self.frame_revisions = _revisions(before, self._first.past, self._begun)
 
     def _explained(self, hypothesis: Hypothesis, frame: Sightings, noises: np.ndarray) -> list[Hypothesis]:
@@ -90,7 +89,9 @@ class MixtureSlam:
         slam = hypothesis.slam
         association = slam.association
         assert isinstance(association, Pmb)
+        begin = time.perf_counter()
         options = association.options(slam.memory, frame, slam.predicted(frame, noises), self.most)
+        self.association_seconds += time.perf_counter() - begin
         slams = [slam, *(slam.copy() for _ in options[1:])]
         grown = []
         for each, option in zip(slams, options, strict=True):
@@ -145,16 +146,19 @@ class MixtureSlam:
 
     @property
     def pose_covariance(self) -> np.ndarray:
-        """(3, 3) about the likeliest explanation's pose: its own, and what the others differ from it by."""
+        """(3, 3) about the likeliest explanation's pose: its own, and by how much more the others differ from it.
+
+        Never less than its own, so that it fits the map's: what others are surer of is left out.
+        """
         own = self._first.slam.pose_covariance
         if len(self._hypotheses) == 1:
             return own
-        whole, pose = np.zeros((3, 3)), self.pose
-        for weight, hypothesis in zip(self.weights.tolist(), self._hypotheses):
-            off = hypothesis.slam.pose - pose
-            off[2] = wrap(off[2])
-            whole += weight * (hypothesis.slam.pose_covariance + np.outer(off, off))
-        return whole
+        off = np.array([hypothesis.slam.pose for hypothesis in self._hypotheses]) - self.pose
+        off[:, 2] = wrap(off[:, 2])
+        spreads = np.array([hypothesis.slam.pose_covariance for hypothesis in self._hypotheses])
+        values, axes = np.linalg.eigh(spreads + off[:, :, None] * off[:, None] - own)
+        more = (axes * np.maximum(values, 0.0)[:, None]) @ axes.transpose(0, 2, 1)
+        return np.asarray(own + np.einsum("h,hij->ij", self.weights, more))
 
     @property
     def landmark_count(self) -> int:
