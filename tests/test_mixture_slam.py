@@ -86,6 +86,17 @@ def test_where_nothing_is_in_doubt_it_is_the_filter():
     assert (mixture.time, mixture.frame_used) == (slam.time, slam.frame_used)
 
 
+@pytest.mark.parametrize("seed", [1, 7, 31])
+def test_it_waits_with_a_closing_until_it_is_sure(seed):
+    """Oracle: the simulation: wrong closings are the likeliest for a while; at the end the mixture is within a
+    metre of the truth and has its 35 landmarks: the explanation that none was right founded new ones."""
+    log = cluttered(seed)
+    mixture = MixtureSlam(alone(log), 10)
+    outcome = run(mixture, log, reckon=False)
+    assert np.hypot(*(outcome.estimate.pose[:2] - log.references[0].positions[-1])) < 0.8
+    assert len(outcome.estimate.landmarks) == 35
+
+
 @pytest.mark.parametrize("seed", [6, 12])
 def test_it_closes_a_loop_that_one_explanation_closes_wrongly(seed):
     """Oracle: the simulation: at the end the mixture is within half a metre of the truth and has its 35 landmarks; the
