@@ -15,7 +15,7 @@ class Fake:
 
     explain = False
     sensor_pose = (0.0, 0.0, 0.0)
-    max_range, half_view, position_sigma = 30.0, 0.5 * np.pi, 0.0
+    min_range, max_range, half_view, position_sigma = 0.0, 30.0, 0.5 * np.pi, 0.0
 
     def __init__(self, squared, log_volume=None, view=None, count=None) -> None:
         self.squared = np.asarray(squared, dtype=float)

@@ -11,7 +11,7 @@ from kalmap.kernels import layout
 from kalmap.kernels import set_layout as sets
 
 NO_BEAMS = np.zeros((0, 2))
-NO_NOISE = np.full(3, -1.0)
+NO_NOISE = np.array([-1.0, -1.0, -1.0, 0.0])
 CENTRED = (0.0, 0.0, 0.0)
 MOUNTED = (1.2, -0.4, 0.3)
 
@@ -131,6 +131,8 @@ def noise_of(setup, noise, distance) -> np.ndarray:
             setup[layout.SIGMA_BEARING] ** 2,
         ]
     )
+    if noise[3] > 0.0:
+        sigma = sigma + np.array([noise[3] ** 2, (noise[3] / max(distance, noise[3])) ** 2])
     return np.diag(sigma)
 
 

@@ -165,7 +165,9 @@ def test_certain_landmarks_and_certain_detection(seen, existence):
         assert after[0, 0] > 0.99
         assert after[1, 0] < 1e-4
     elif existence == 1.0:
-        np.testing.assert_allclose(after[:, 0], 1.0, atol=1e-9)
+        # nothing is believed beyond 1 - 1e-6, so that misses in a row can still undo it
+        assert after[0, 0] == sets.SUREST
+        assert after[1, 0] <= sets.SUREST
 
 
 def test_tallies_of_the_rings():

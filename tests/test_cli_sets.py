@@ -27,7 +27,6 @@ REFUSED = {
         ["--set", "finite_set.method=pmb", "--use", "joint"],
         "--use joint means nothing to pmb",
     ),
-    "not yet": (["--method", "mh-fastslam"], "mh-fastslam is not carried out yet"),
     "association of a mixture": (["--method", "pmbm", "--association", "jcbb"], "means nothing to pmbm"),
     "no particles": (["--method", "pmb", "--particles", "0"], "--particles"),
     "no method": (["--method", "phd"], "'phd' is not one of"),
@@ -71,7 +70,7 @@ def test_a_run_leaves_a_whole_result(runs, name):
     assert metrics["nis_mean"] is metrics["association_accuracy"] is metrics["association_s"] is None
     with (folder / "landmarks.csv").open() as stream:
         existence = [float(row["existence"]) for row in csv.DictReader(stream)]
-    assert len(existence) == metrics["landmarks"] and all(0.6 <= each <= 1.0 for each in existence)
+    assert len(existence) == metrics["landmarks"] and all(0.0 < each <= 1.0 for each in existence)
     page = (folder / "report.html").read_text()
     assert f"{name}, 3 particles on world:phd-1" in page and page.count("<img ") == len(PICTURES)
     assert ">OSPA<" in page and "coordinates on world" not in page and 'id="association"' not in page

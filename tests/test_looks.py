@@ -12,7 +12,8 @@ from kalmap.kernels import set_layout as sets
 from kalmap.kernels.frame import corrected, likelihood
 from kalmap.kernels.looks import detection, found, look, lower_root, sight
 
-STATED = np.array([0.2, -0.015, 0.03])  # root of a frame's own noise, with a cross term
+WIDE = np.array([-1.0, -1.0, -1.0, 0.4])  # the sensor's noise, and things 0.4 m wide
+STATED = np.array([0.2, -0.015, 0.03, 0.0])  # root of a frame's own noise, with a cross term
 
 
 def kernel_look(setup, pose, root, row, noise=NO_NOISE) -> np.ndarray:
@@ -46,7 +47,7 @@ def compare(row: np.ndarray, expected: plain.Look, tolerance: float) -> None:
     np.testing.assert_allclose(likelihood(row, squared), density, rtol=1e-7)
 
 
-@pytest.mark.parametrize("noise", [NO_NOISE, STATED], ids=["sensor", "stated"])
+@pytest.mark.parametrize("noise", [NO_NOISE, STATED, WIDE], ids=["sensor", "stated", "extent"])
 @pytest.mark.parametrize("mount", [CENTRED, MOUNTED], ids=["centred", "mounted"])
 @pytest.mark.parametrize("known", [True, False], ids=["known", "uncertain"])
 def test_jacobian_is_the_extended_kalman_filter(noise, mount, known):
@@ -65,7 +66,7 @@ def test_jacobian_is_the_extended_kalman_filter(noise, mount, known):
         )
 
 
-@pytest.mark.parametrize("noise", [NO_NOISE, STATED], ids=["sensor", "stated"])
+@pytest.mark.parametrize("noise", [NO_NOISE, STATED, WIDE], ids=["sensor", "stated", "extent"])
 @pytest.mark.parametrize("mount", [CENTRED, MOUNTED], ids=["centred", "mounted"])
 @pytest.mark.parametrize("known", [True, False], ids=["known", "uncertain"])
 @pytest.mark.parametrize("rule", ["cubature", "central", "central-2"])
@@ -123,7 +124,7 @@ def test_lower_root_equals_a_cholesky_factor():
         np.testing.assert_allclose(got, expected[[0, 1, 1], [0, 0, 1]], rtol=1e-9)
 
 
-@pytest.mark.parametrize("noise", [NO_NOISE, STATED], ids=["sensor", "stated"])
+@pytest.mark.parametrize("noise", [NO_NOISE, STATED, WIDE], ids=["sensor", "stated", "extent"])
 @pytest.mark.parametrize("known", [True, False], ids=["known", "uncertain"])
 def test_what_a_sighting_founds(noise, known):
     """Oracle: the inverse sensor in plain numpy, its numeric Jacobian over (pose, range, bearing)."""

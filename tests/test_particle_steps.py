@@ -43,7 +43,8 @@ class Cloud:
             self.counts[slot] = count
         self.poses = pose + 0.02 * rng.standard_normal((NUMBER, 3))
         self.normals = rng.standard_normal((NUMBER, 3))
-        self.left = np.full((NUMBER, 3, 3), np.nan)
+        self.ways = np.zeros((NUMBER, 3, 3))
+        self.left = np.zeros((NUMBER, 3, 3))
         self.log_factors = np.full(NUMBER, np.nan)
         self.explained = np.full((NUMBER, len(self.scene.z)), np.nan)
         self.tallies = np.zeros((NUMBER, 2, 1))
@@ -62,6 +63,7 @@ class Cloud:
             self.slots,
             self.poses,
             self.root,
+            np.zeros(3),
             self.scene.z,
             3,
             kind,
@@ -72,6 +74,7 @@ class Cloud:
             first,
             last,
             self.left,
+            self.ways,
             self.log_factors,
             self.explained,
             self.tallies,

@@ -262,7 +262,7 @@ def test_no_sighting_is_a_frame_too(name):
     expected[:, 0] *= 1.0 - 0.9
     np.testing.assert_allclose(outcome.rows, expected, rtol=1e-12)
     np.testing.assert_allclose(outcome.tally[1], 0.0)
-    assert outcome.tally[0, 0] == pytest.approx(scene.rows[scene.rows[:, 0] >= 0.5, 0].sum())
+    assert outcome.tally[0, 0] == (scene.rows[:, sets.SEEN] >= 3.0).sum()
     gone = 0.9 * scene.rows[:, 0].sum()
     if name in ("empty", "single-feature", "single-cluster", "multi-feature"):
         assert outcome.log_weight == pytest.approx(-0.3 - gone, rel=1e-9)

@@ -300,7 +300,7 @@ def test_a_sharp_sensor_after_a_vague_motion(motion, sigma):
         pose = np.array([2.0, -1.0, 0.7])
         root = motion * ROOTS[name] * [[1.0], [1.0], [0.01]]
         scene = scene_of(around(pose, 40, rng), pose, rng, sigma=1e-9, noise=False)
-        scene.noise = np.array([sigma, 0.0, 0.1 * sigma])
+        scene.noise = np.array([sigma, 0.0, 0.1 * sigma, 0.0])
         for normal in rng.standard_normal((20, 3)):
             out, log_weight, left = proposed(scene, root, normal)
             assert np.isfinite(out).all()
@@ -337,7 +337,7 @@ def run_of_proposals(count: int, seed: int) -> None:
         scene.rule = str(rng.choice(["jacobian", "cubature"]))
         scene.profile = rng.choice([0.3, 0.9, 1.0], 1)
         scene.noise = rng.choice([-1.0, 1.0]) * np.array(
-            [10.0 ** rng.uniform(-4, 1), 0.0, 10.0 ** rng.uniform(-5, -1)]
+            [10.0 ** rng.uniform(-4, 1), 0.0, 10.0 ** rng.uniform(-5, -1), 0.0]
         )
         scene.pose = scene.pose + rng.standard_normal(3) * [0.3, 0.3, 0.03]
         out, log_weight, left = proposed(scene, root, rng.standard_normal(3))

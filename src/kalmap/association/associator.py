@@ -64,6 +64,11 @@ class Predicted(Protocol):
         ...
 
     @property
+    def min_range(self) -> float:
+        """Nearer than this it sees nothing, m."""
+        ...
+
+    @property
     def half_view(self) -> float:
         """Half its field of view, rad."""
         ...

@@ -63,9 +63,9 @@ class Region(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         distance, half = expected.z[:, 0], predicted.half_view
         if not shrink:
             inside = np.empty(len(distance), dtype=np.bool_)
-            in_sector(expected.z, reach, half, inside)
+            in_sector(expected.z, predicted.min_range, reach, half, inside)
             return inside
-        near = distance < reach - self.pad
+        near = (distance < reach - self.pad) & (distance >= predicted.min_range)
         if half >= math.pi:
             return near
         off_edge = half - np.abs(expected.z[:, 1])

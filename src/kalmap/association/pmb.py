@@ -263,7 +263,8 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
             reach = max(float(table.sightings.values[:, 0].max(initial=1.0)), 1.0)
         density = max(false / frames, _LEAST) / (reach * 2.0 * predicted.half_view)
         detection = np.empty(len(expected.indices))
-        view_shares(expected.z, expected.spreads, predicted.max_range, predicted.half_view, detection)
+        near, far = predicted.min_range, predicted.max_range
+        view_shares(expected.z, expected.spreads, near, far, predicted.half_view, detection)
         learnt = np.array([seen / looked for seen, looked in memory["detected"]])
         rings = (expected.z[:, 0] / reach * _RINGS).astype(np.int64)
         detection *= np.clip(learnt, *_DETECTION)[np.minimum(rings, _RINGS - 1)]

@@ -77,10 +77,10 @@ def tally_by_range(ranges, seen, expected, reach, counts):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def in_sector(z, reach, half, out):
-    """out (C,) bool: nearer than `reach` m and less than `half` rad to either side; z: (C, 2) range, bearing."""
+def in_sector(z, least, reach, half, out):
+    """out (C,) bool: `least` to `reach` m away and less than `half` rad to either side; z: (C, 2) range, bearing."""
     for c in range(len(z)):
-        out[c] = z[c, 0] < reach and (half >= math.pi or abs(z[c, 1]) < half)
+        out[c] = least <= z[c, 0] < reach and (half >= math.pi or abs(z[c, 1]) < half)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

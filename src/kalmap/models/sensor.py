@@ -38,7 +38,8 @@ class SensorModel(Protocol):
 class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     """Range and bearing from a sensor mounted at (x m, y m, heading rad) on the vehicle.
 
-    sigma_range m, ratio_range of the range, sigma_bearing rad; max_range m; field_of_view rad, the full angle.
+    sigma_range m, ratio_range of the range, sigma_bearing rad; min_range, max_range m; field_of_view rad, the full
+    angle.
     outlier_gate: probability beyond which a sighting's noise is inflated (see `SensorConfig`), None: never.
     """
 
@@ -46,6 +47,7 @@ class RangeBearing(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     sigma_range: float = 0.1
     ratio_range: float = 0.0
     sigma_bearing: float = float(np.deg2rad(1.0))
+    min_range: float = 0.0
     max_range: float = 30.0
     field_of_view: float = float(np.pi)
     outlier_gate: float | None = None
@@ -93,6 +95,7 @@ def sensor_from_config(config: SensorConfig) -> RangeBearing:
         sigma_range=config.sigma_range,
         ratio_range=config.sigma_range_ratio,
         sigma_bearing=float(np.deg2rad(config.sigma_bearing_deg)),
+        min_range=config.min_range,
         max_range=config.max_range,
         field_of_view=float(np.deg2rad(config.field_of_view_deg)),
         outlier_gate=config.outlier_gate,

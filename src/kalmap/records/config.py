@@ -83,7 +83,8 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     mount_x, mount_y: m, mount_heading_deg: the sensor in the vehicle's frame (forward, left).
     sigma_range: m; sigma_range_ratio: share of the range; the variances add. sigma_bearing_deg: deg.
-    max_range: m. field_of_view_deg: the full angle, centred ahead of the sensor.
+    min_range, max_range: m, what is nearer or farther is not seen. field_of_view_deg: the full angle, centred ahead
+    of the sensor.
     outlier_gate: probability; a sighting whose innovation lies outside it has its noise inflated until it lies
         on it, so that a gross error does little. None: every sighting is taken at its word.
     """
@@ -94,6 +95,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_range: Positive = 0.1
     sigma_range_ratio: NonNegative = 0.0
     sigma_bearing_deg: Positive = 1.0
+    min_range: NonNegative = 0.0
     max_range: Positive = 30.0
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, le=360)] = 180.0
     outlier_gate: Probability | None = None

@@ -135,6 +135,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             sensor=SensorConfig(
                 sigma_range=self.sigma_range,
                 sigma_bearing_deg=self.sigma_bearing_deg,
+                min_range=self.min_range,
                 max_range=self.max_range,
                 field_of_view_deg=self.field_of_view_deg,
             ),

@@ -35,7 +35,6 @@ from kalmap.slam.landmark import LandmarkSlam
 from kalmap.slam.mixture import MixtureSlam
 
 SET_METHODS: tuple[str, ...] = get_args(SetMethod)
-_CARRIED_OUT = ("rb-phd", "srckf-phd", "pmb", "pmbm")
 WEIGHED_METHODS = ("rb-phd", "srckf-phd")
 ASSOCIATIONS: tuple[str, ...] = get_args(AssociationName)
 
@@ -98,10 +97,6 @@ def check_method(config: RunConfig) -> None:
     sets = config.finite_set
     if sets.method is None or sets.method == "pmbm":
         resolve_filter(config.filter)
-    if sets.method is not None and sets.method not in _CARRIED_OUT:
-        raise ConfigError(
-            f"finite_set.method: {sets.method} is not carried out yet; there are {', '.join(_CARRIED_OUT)}"
-        )
     if sets.method is not None and sets.weighting is not None and sets.method not in WEIGHED_METHODS:
         raise ConfigError(
             f"finite_set.weighting: {sets.method} weighs its particles in one way only; "

@@ -318,6 +318,11 @@ class FiniteSetSlam:
         """A fresh filter with the same settings, at the origin."""
         return FiniteSetSlam(self.motion, self.sensor, self.config, extent=self.extent)
 
+    def landmark_places(self) -> np.ndarray:
+        """(K, 2) m: the landmarks of the best particle's map, oldest first."""
+        rows = self._particles.map_of(self.best)
+        return rows[self._features(rows)][:, [set_layout.X, set_layout.Y]]
+
     def map(self, particle: int | None = None) -> np.ndarray:
         """(C, COLUMNS) the whole mixture of a particle, the best by default; a copy."""
         return self._particles.map_of(self.best if particle is None else particle).copy()

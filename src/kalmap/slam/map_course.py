@@ -7,7 +7,7 @@ import numpy as np
 
 from kalmap.kernels import set_layout as layout
 from kalmap.slam.finite_set import FiniteSetSlam
-from kalmap.slam.set_map import covariances, features
+from kalmap.slam.set_map import covariances
 
 _INSTANTS = 200  # at least so many are kept of a run with as many frames, at most twice as many
 
@@ -43,9 +43,8 @@ class CourseKeeper:
         self._frames += 1
         if (self._frames - 1) % self._stride:
             return
-        rows = self.slam.map()
         self.times.append(self.slam.time)
-        self.places.append(rows[features(rows, self.slam.config.feature)][:, [layout.X, layout.Y]])
+        self.places.append(self.slam.landmark_places())
         if len(self.times) > 2 * _INSTANTS:
             self.times, self.places = self.times[::2], self.places[::2]
             self._stride *= 2

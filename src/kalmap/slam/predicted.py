@@ -79,6 +79,11 @@ class PredictedMap:
         return float(getattr(self._sensor, "max_range", math.inf))
 
     @property
+    def min_range(self) -> float:
+        """Nearer than this the sensor sees nothing, m."""
+        return float(getattr(self._sensor, "min_range", 0.0))
+
+    @property
     def half_view(self) -> float:
         """Half the sensor's field of view, rad; pi for one that does not say."""
         return 0.5 * float(getattr(self._sensor, "field_of_view", 2.0 * math.pi))

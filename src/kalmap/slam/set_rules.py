@@ -83,7 +83,7 @@ def rules_from_config(config: FiniteSetConfig, sensor: RangeBearing) -> np.ndarr
     rules[layout.PRUNE], rules[layout.MERGE] = config.prune, config.merge
     rules[layout.CAP], rules[layout.FEATURE] = config.cap, config.feature
     rules[layout.WEIGHTING] = weighting_of(config)
-    rules[layout.MAX_RANGE] = sensor.max_range
+    rules[layout.MIN_RANGE], rules[layout.MAX_RANGE] = sensor.min_range, sensor.max_range
     rules[layout.HALF_VIEW] = 0.5 * sensor.field_of_view if sensor.field_of_view < 2.0 * math.pi else 4.0
     rules[layout.RINGS], rules[layout.DEPTH] = RINGS, config.occlusion
     rules[layout.BRANCHES] = config.branches
