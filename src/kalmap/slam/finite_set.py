@@ -40,6 +40,7 @@ from kalmap.slam.checks import (
 )
 from kalmap.slam.engines import BadSampleError, CompiledEngine
 from kalmap.slam.particles import Particles
+from kalmap.slam.set_checkpoint import load_set_filter, save_set_filter
 from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread, rotated
 from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, set_rates
 from kalmap.slam.window import Revisions
@@ -47,6 +48,7 @@ from kalmap.slam.window import Revisions
 _NO_BEAMS = np.zeros((0, 2))
 _DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays with the particle
 _INTENSITIES = ("rb-phd", "srckf-phd")
+_METHODS = (*_INTENSITIES, "mh-fastslam", "pmb")
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
 
@@ -80,6 +82,8 @@ class FiniteSetSlam:
         self.detector, self.extent = detector, extent
         if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
             raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
+        if self.config.method not in _METHODS:
+            raise ConfigError(f"finite_set.method: {self.config.method} is none of {', '.join(_METHODS)}")
         self.lineariser: BuiltIn = Cubature() if self.config.method == "srckf-phd" else Jacobian()
         self._engine = CompiledEngine(self.motion, self.sensor, self.lineariser, True, False)
         self.rng = np.random.default_rng(seed)
@@ -272,6 +276,17 @@ class FiniteSetSlam:
         """Which components of a map (C, COLUMNS) are landmarks of the result, oldest first: (K,) indices."""
         missed = 1.0 - float(self.rates.profile.max()) if self.config.method in _INTENSITIES else 1.0
         return features(rows, self.config.feature, missed)
+
+    # --- saving -----------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that the filter knows, so that `load` goes on bit for bit."""
+        save_set_filter(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, detector: Detector | None = None) -> FiniteSetSlam:
+        """The filter that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
+        return load_set_filter(cls, path, detector)
 
     # --- what it says -----------------------------------------------------------------------------------------
 

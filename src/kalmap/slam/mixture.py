@@ -8,6 +8,7 @@ not there. Most frames are not in doubt and cost one filter's update.
 from __future__ import annotations
 
 import math
+import os
 import time
 
 import msgspec
@@ -17,9 +18,11 @@ from kalmap.association import Pmb
 from kalmap.gaussian import NotPositiveError
 from kalmap.geometry.angles import wrap
 from kalmap.models import MotionModel, SensorModel
+from kalmap.perception import Detector
 from kalmap.records import ConfigError, Estimate, EstimationError, Event, Fix, Frame, Odometry, Sightings
 from kalmap.slam.checks import check_time
 from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.mixture_checkpoint import load_mixture, save_mixture
 from kalmap.slam.window import Revisions
 
 _LIGHT = 1e-3  # share of the whole below which a hypothesis is given up
@@ -107,6 +110,26 @@ class MixtureSlam:
     def twin(self) -> MixtureSlam:
         """A fresh estimator with the same settings, at the origin."""
         return MixtureSlam(self._first.slam.twin(), self.most)
+
+    # --- saving -----------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that it knows, so that `load` goes on bit for bit; of past frames the labels, without
+        reasons. Built-in parts only."""
+        save_mixture(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, detector: Detector | None = None) -> MixtureSlam:
+        """The mixture that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
+        return load_mixture(cls, path, detector)
+
+    def resume(
+        self, begun: int, slams: list[LandmarkSlam], logs: list[float], pasts: list[list[Told]]
+    ) -> None:
+        """Go on from these explanations; begun: how many frames had been taken before the first that pasts tell."""
+        whole = zip(slams, logs, pasts, strict=True)
+        self._hypotheses = [Hypothesis(slam, log, past) for slam, log, past in whole]
+        self._begun = begun
 
     # --- what it says -----------------------------------------------------------------------------------------
 
