@@ -42,13 +42,18 @@ from kalmap.slam.engines import BadSampleError, CompiledEngine
 from kalmap.slam.particles import Particles
 from kalmap.slam.set_checkpoint import load_set_filter, save_set_filter
 from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread, rotated
-from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, set_rates
+from kalmap.slam.set_rules import (
+    INTENSITIES,
+    RINGS,
+    checked_config,
+    rates_from_config,
+    rules_from_config,
+    set_rates,
+)
 from kalmap.slam.window import Revisions
 
 _NO_BEAMS = np.zeros((0, 2))
 _DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays with the particle
-_INTENSITIES = ("rb-phd", "srckf-phd")
-_METHODS = (*_INTENSITIES, "mh-fastslam", "pmb")
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
 
@@ -78,12 +83,10 @@ class FiniteSetSlam:
     ) -> None:
         self.motion = VelocitySteering() if motion is None else motion
         self.sensor = RangeBearing() if sensor is None else sensor
-        self.config = FiniteSetConfig(method="pmb") if config is None else config
+        self.config = checked_config(FiniteSetConfig(method="pmb") if config is None else config)
         self.detector, self.extent = detector, extent
         if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
             raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
-        if self.config.method not in _METHODS:
-            raise ConfigError(f"finite_set.method: {self.config.method} is none of {', '.join(_METHODS)}")
         self.lineariser: BuiltIn = Cubature() if self.config.method == "srckf-phd" else Jacobian()
         self._engine = CompiledEngine(self.motion, self.sensor, self.lineariser, True, False)
         self.rng = np.random.default_rng(seed)
@@ -240,8 +243,9 @@ class FiniteSetSlam:
 
         self._in_threads(part, number)
         children = np.flatnonzero(np.arange(branches) < made[:, None])
-        weights = particles.log_weights[children // branches] + np.nan_to_num(logs[children], nan=-np.inf)
-        if not np.isfinite(weights.max()):
+        weights = particles.log_weights[children // branches] + logs[children]
+        weights = np.where(np.isnan(weights), -np.inf, weights)
+        if not np.isfinite(weights.max(initial=-np.inf)):
             self.recovered += 1
             children, weights = np.arange(number) * branches, np.zeros(number)
         parents = particles.survive(children, weights, branches, float(self.rng.random()))
@@ -274,7 +278,7 @@ class FiniteSetSlam:
 
     def _features(self, rows: np.ndarray) -> np.ndarray:
         """Which components of a map (C, COLUMNS) are landmarks of the result, oldest first: (K,) indices."""
-        missed = 1.0 - float(self.rates.profile.max()) if self.config.method in _INTENSITIES else 1.0
+        missed = 1.0 - float(self.rates.profile.max()) if self.config.method in INTENSITIES else 1.0
         return features(rows, self.config.feature, missed)
 
     # --- saving -----------------------------------------------------------------------------------------------
