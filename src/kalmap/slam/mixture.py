@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from kalmap.association import Pmb
+from kalmap.association.pmb import Option
 from kalmap.gaussian import NotPositiveError
 from kalmap.geometry.angles import wrap
 from kalmap.models import MotionModel, SensorModel
@@ -26,6 +27,7 @@ from kalmap.slam.mixture_checkpoint import load_mixture, save_mixture
 from kalmap.slam.window import Revisions
 
 _LIGHT = 1e-3  # share of the whole below which a hypothesis is given up
+_SPARE = 2  # times the hypotheses that are kept are carried out first: some become one
 _ALIKE = 0.3  # squared distance of two poses within which hypotheses with as many landmarks are one
 _NARROW = 1.5  # by how much the larger of two variances may be so
 
@@ -81,31 +83,32 @@ class MixtureSlam:
     def _observe(self, frame: Sightings, noises: np.ndarray) -> None:
         before = self._first.past
         grown: list[Hypothesis] = []
-        for hypothesis in self._hypotheses:
-            hypothesis.slam.explain = self.explain
-            grown += self._explained(hypothesis, frame, noises)
+        for hypothesis, options in self._answers(frame, noises):
+            grown += _carried_out(hypothesis, options, frame, noises)
         self._hypotheses = _pruned(_sorted(_joined(_sorted(grown))), self.most)
         self.frame_revisions = _revisions(before, self._first.past, self._begun)
 
-    def _explained(self, hypothesis: Hypothesis, frame: Sightings, noises: np.ndarray) -> list[Hypothesis]:
-        """What becomes of one explanation: itself with the likeliest answer, and a copy for each other."""
-        slam = hypothesis.slam
-        association = slam.association
-        assert isinstance(association, Pmb)
+    def _answers(self, frame: Sightings, noises: np.ndarray) -> list[tuple[Hypothesis, list[Option]]]:
+        """Each explanation with its answers to a frame that are worth carrying out, over all of them."""
         begin = time.perf_counter()
-        options = association.options(slam.memory, frame, slam.predicted(frame, noises), self.most)
+        whole = []
+        for hypothesis in self._hypotheses:
+            slam = hypothesis.slam
+            slam.explain = self.explain
+            assert isinstance(slam.association, Pmb)
+            predicted = slam.predicted(frame, noises)
+            whole.append((hypothesis, slam.association.options(slam.memory, frame, predicted, self.most)))
+        logs = [each.log_weight + option.log_likelihood for each, options in whole for option in options]
+        least = max(logs) + math.log(_LIGHT)
+        if len(logs) > _SPARE * self.most:
+            least = max(least, sorted(logs, reverse=True)[_SPARE * self.most - 1])
+        answers = []
+        for hypothesis, options in whole:
+            kept = [option for option in options if hypothesis.log_weight + option.log_likelihood >= least]
+            if kept:
+                answers.append((hypothesis, kept))
         self.association_seconds += time.perf_counter() - begin
-        slams = [slam, *(slam.copy() for _ in options[1:])]
-        grown = []
-        for each, option in zip(slams, options, strict=True):
-            each.take_decided(frame, noises, option.association)
-            each.took(frame.time)
-            told = each.frame_labels, each.frame_decision
-            past = [*hypothesis.past, told] if len(slams) > 1 else hypothesis.past
-            if len(slams) == 1:
-                past.append(told)
-            grown.append(Hypothesis(each, hypothesis.log_weight + option.log_likelihood, past))
-        return grown
+        return answers
 
     def twin(self) -> MixtureSlam:
         """A fresh estimator with the same settings, at the origin."""
@@ -225,6 +228,23 @@ class MixtureSlam:
     def estimate(self) -> Estimate:
         """A snapshot of the likeliest explanation; the pose's covariance holds what the others differ by."""
         return msgspec.structs.replace(self._first.slam.estimate(), covariance=self.pose_covariance)
+
+
+def _carried_out(
+    hypothesis: Hypothesis, options: list[Option], frame: Sightings, noises: np.ndarray
+) -> list[Hypothesis]:
+    """What becomes of one explanation: itself with the likeliest answer, and a copy for each other."""
+    slams = [hypothesis.slam, *(hypothesis.slam.copy() for _ in options[1:])]
+    pasts = [hypothesis.past, *(hypothesis.past.copy() for _ in options[1:])]
+    if len(options) > 1:
+        pasts[0] = hypothesis.past.copy()  # what was told before the frame is still asked for
+    grown = []
+    for slam, past, option in zip(slams, pasts, options, strict=True):
+        slam.take_decided(frame, noises, option.association)
+        slam.took(frame.time)
+        past.append((slam.frame_labels, slam.frame_decision))
+        grown.append(Hypothesis(slam, hypothesis.log_weight + option.log_likelihood, past))
+    return grown
 
 
 def _sorted(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
