@@ -45,6 +45,8 @@ def command(log: str, methods: str, runs: int, workers: int | None, out: Path | 
     With --runs N, for a world: seeds 1 to N (or from --seed on), with a paired test against the first method.
     """
     if runs > 1:
+        if given["clutter"] is not None:
+            raise click.UsageError("--clutter: with --runs take a world with clutter, as clutter-5")
         code = _seeds(log, methods, runs, workers, out, given)
     else:
         code = _single(log, methods, out, given)
@@ -67,7 +69,7 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     started = datetime.now(UTC)
     settings, world = gather(given, several=True)
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
-    log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"])
+    log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"], given["clutter"])
     config = resolve(log.defaults, merge_seed(settings, seed))
     chosen = _methods(methods, config, given)
     folder = make_folder(out or default_folder("kalmap-compare", log.name))

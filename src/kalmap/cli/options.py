@@ -57,6 +57,11 @@ _SHARED = (
     click.option("--seed", type=click.IntRange(min=0), help="Seed of a simulated world."),
     click.option("--robot", metavar="K|all", help="Which robot of a log of several."),
     click.option("--variant", help="Which form of a log that has several (detections, ascii, scans, ...)."),
+    click.option(
+        "--clutter",
+        type=click.FloatRange(min=0),
+        help="Add so many false sightings to every frame, on average (one log alone).",
+    ),
     click.option("--tolerant", is_flag=True, help="Skip bad records, count and list them."),
     click.option("--quiet", "-q", is_flag=True, help="No progress, no summary."),
 )

@@ -75,7 +75,7 @@ def run_once(
     started = datetime.now(UTC)
     settings, world = gather(given)
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
-    log = open_source(text, seed, world, robot, given["variant"])
+    log = open_source(text, seed, world, robot, given["variant"], given["clutter"])
     config = resolve(log.defaults, merge_seed(settings, seed))
     # Compiled code comes in only now, so that a log or setting that cannot be is told at once.
     from kalmap.slam import run, slam_from_config

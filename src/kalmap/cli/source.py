@@ -15,6 +15,7 @@ from kalmap.simulate import (
     World,
     bailey_world,
     simulate,
+    with_clutter,
     world_by_name,
 )
 from kalmap.simulate import (
@@ -105,9 +106,19 @@ def _redrawn(world: World, random_landmarks: Any = None, area: Any = None, map_s
 
 
 def open_source(
-    text: str, seed: int, overrides: dict[str, Any], robot: int | None, variant: str | None
+    text: str,
+    seed: int,
+    overrides: dict[str, Any],
+    robot: int | None,
+    variant: str | None,
+    clutter: float | None = None,
 ) -> Log:
-    """The log to run: read from a path, or simulated from the seed."""
+    """The log to run: read from a path, or simulated from the seed; clutter: false sightings added to every frame."""
+    log = _opened(text, seed, overrides, robot, variant)
+    return log if clutter is None else with_clutter(log, clutter, seed)
+
+
+def _opened(text: str, seed: int, overrides: dict[str, Any], robot: int | None, variant: str | None) -> Log:
     world = find_world(text, overrides)
     if world is not None:
         if robot is not None or variant is not None:

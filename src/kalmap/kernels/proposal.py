@@ -28,8 +28,8 @@ from kalmap.kernels.set_layout import (
     Y,
 )
 
-_ROUNDS = 8
-_SETTLED = 1e-3
+_ROUNDS = 6
+_SETTLED = 1e-2
 _LEAST_WEIGHT = 1e-3  # lighter components say too little about the pose
 
 

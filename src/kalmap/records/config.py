@@ -230,7 +230,7 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     new_rate: Positive = 0.2
     estimate: bool = True
     gate: Probability = 0.99999
-    prune: Probability = 1e-5
+    prune: Probability = 1e-3
     merge: Positive = 4.0
     cap: Annotated[int, msgspec.Meta(ge=16, le=1_000_000)] = 20_000
     feature: Probability = 0.6

@@ -19,6 +19,7 @@ from kalmap.simulate.courses import (
     same_world,
     wide_world,
 )
+from kalmap.simulate.disturb import with_clutter
 from kalmap.simulate.drive import Drive, drive
 from kalmap.simulate.movers import mover_tracks
 from kalmap.simulate.raycast import SICK, URG, Scanner, cast, cast_hits, noisy
@@ -34,6 +35,7 @@ from kalmap.simulate.set_worlds import (
 from kalmap.simulate.world import World
 
 __all__ = [
+    "with_clutter",
     "SICK",
     "URG",
     "Drive",
