@@ -10,6 +10,15 @@ import numpy as np
 
 from kalmap.association.associator import Predicted
 from kalmap.association.checks import check
+from kalmap.association.explained import (
+    Found,
+    Rates,
+    as_matrix,
+    excused,
+    of_trials,
+    pair_probabilities,
+    probability,
+)
 from kalmap.association.gated import Gated, Matching, Settling, Table
 from kalmap.association.management import BuiltInManagement, Existence
 from kalmap.geometry.angles import wrap
@@ -26,7 +35,6 @@ _MOST = 12.0  # ln odds beyond which existence is not believed or doubted furthe
 _BELIEVED = 0.0  # least ln odds of a landmark that the management believes: misses in a row have one cause
 _RINGS = 6
 _DETECTION = 0.05, 0.98  # bounds of what is learnt
-_DOUBLE = 25.0  # squared distance by the sensor's noise within which two landmarks look like one
 
 
 class Option(msgspec.Struct, frozen=True):
@@ -34,29 +42,6 @@ class Option(msgspec.Struct, frozen=True):
 
     association: Association
     log_likelihood: float
-
-
-class Rates(msgspec.Struct, frozen=True):
-    """detection (C,): probability that each candidate is sighted if it exists; odds (C,): ln odds that it does.
-
-    seen, missed (C,): probability that it is sighted, and that it is not: 1 for what may be hidden. density: of
-    sightings that nothing explains, 1 / (m rad). rings (C,): of range.
-    """
-
-    detection: np.ndarray
-    odds: np.ndarray
-    seen: np.ndarray
-    missed: np.ndarray
-    density: float
-    rings: np.ndarray
-
-
-class Found(Rates, frozen=True):
-    """The hypotheses of a frame: sets (H, M) candidate or -1, weights (H,) summing to one, logs (H,), best first."""
-
-    sets: np.ndarray
-    weights: np.ndarray
-    logs: np.ndarray
 
 
 class Beliefs(msgspec.Struct, frozen=True):
@@ -113,7 +98,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
 
     def existence(self, memory: Any) -> list[float]:
         """The probability that each landmark is real."""
-        return _probability(np.array(memory["odds"])).tolist()
+        return probability(np.array(memory["odds"])).tolist()
 
     def settle(self, memory: Any, association: Association) -> None:
         """Take in existence, detections, and the sightings that no landmark in the map explains."""
@@ -138,33 +123,48 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         """Decide a frame: the pairs that are nearly sure."""
         table = self._table(memory, sightings, predicted)
         found = self._find(memory, table, predicted)
-        pairs = _pair_probabilities(found, len(table.expected.indices))
+        pairs = pair_probabilities(found, len(table.expected.indices))
         columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
         if pairs.size:
             best = pairs.argmax(axis=1)
             sure = pairs[np.arange(len(best)), best] >= self.sure
             columns[sure] = best[sure]
-        return self._concluded(memory, table, found, columns, predicted)[0]
+        return self._concluded(memory, table, found, columns, predicted, table.squared)[0]
 
     def options(self, memory: Any, sightings: Sightings, predicted: Predicted, most: int) -> list[Option]:
-        """The likeliest ways to explain a frame, best first: one, unless a pair that tells much is in doubt."""
+        """The likeliest ways to explain a frame, best first: one, unless a pair that tells much is in doubt.
+
+        Where such a pair is left out, its sighting is something else for certain: it may found a landmark, whereas
+        `associate` leaves it unused. Else a wrong answer, sure of its place, would be the only one that can follow
+        what it sees.
+        """
         table = self._table(memory, sightings, predicted)
         found = self._find(memory, table, predicted)
+        squared = np.where(self._telling(table) & ~table.trial, np.inf, table.squared)
         options = []
         for columns, log in self._chosen(found, table, most):
-            association, more = self._concluded(memory, table, found, columns, predicted)
+            association, more = self._concluded(memory, table, found, columns, predicted, squared)
             options.append(Option(association, log + more))
         return sorted(options, key=lambda option: -option.log_likelihood)
 
     def _concluded(
-        self, memory: Any, table: Table, found: Found, columns: np.ndarray, predicted: Predicted
+        self,
+        memory: Any,
+        table: Table,
+        found: Found,
+        columns: np.ndarray,
+        predicted: Predicted,
+        squared: np.ndarray,
     ) -> tuple[Association, float]:
-        """What follows from pairs with confirmed landmarks (M,), and ln of what the rest adds to the likelihood."""
+        """What follows from pairs with confirmed landmarks (M,), and ln of what the rest adds to the likelihood.
+
+        squared (M, C): what may not found a landmark is inside the gate of a confirmed one.
+        """
         notes = (f"{len(found.sets)} hypotheses",) if predicted.explain else ()
         matching = Matching(columns.copy(), Reason.PROBABLE, Reason.IMPROBABLE, notes)
         fate = np.empty(len(columns), dtype=np.int64)
-        kernel.finish(table.squared, table.normalised, table.trial, table.gate, table.new_gate, columns, fate)
-        more = _of_trials(found, table, columns, fate) + _excused(found, table, columns)
+        kernel.finish(squared, table.normalised, table.trial, table.gate, table.new_gate, columns, fate)
+        more = of_trials(found, table, columns, fate) + excused(found, table, columns)
         association = self._conclude(memory, table, matching, columns, fate, predicted)
         beliefs = self._beliefs(memory, table, found, columns, association.change)
         change = msgspec.structs.replace(association.change, beliefs=beliefs)
@@ -203,7 +203,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         A pair in doubt that would hardly move anything is left aside instead of splitting the frame.
         """
         base = len(table.squared) * math.log(found.density) + float(np.log(found.missed).sum())
-        pairs = _pair_probabilities(found, len(found.seen))
+        pairs = pair_probabilities(found, len(found.seen))
         plain = (pairs < self.sure) & ~self._telling(table)
         pooled: dict[bytes, tuple[np.ndarray, float]] = {}
         for columns, log in zip(found.sets, found.logs.tolist()):
@@ -241,7 +241,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         sets, logs = np.empty((most, len(rows)), dtype=np.int64), np.empty(most)
         made = frame_hypotheses(
             nu,
-            _as_matrix(predicted.cross(expected)),
+            as_matrix(predicted.cross(expected)),
             predicted.noises[rows],
             possible[np.ix_(rows, wanted)],
             np.log(rates.seen[wanted] / rates.missed[wanted]) - math.log(rates.density),
@@ -270,55 +270,8 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         detection *= np.clip(learnt, *_DETECTION)[np.minimum(rings, _RINGS - 1)]
         detection = np.clip(detection, 1.0 - _SUREST, _SUREST)
         odds = np.array([memory["odds"][i] for i in expected.indices.tolist()])
-        seen = detection * np.asarray(_probability(odds))
+        seen = detection * np.asarray(probability(odds))
         missed = 1.0 - seen
         if len(seen) and self._hides(memory):
             missed[predicted.hidden(expected)] = 1.0
         return Rates(detection, odds, seen, missed, density, rings)
-
-
-def _probability(odds: np.ndarray) -> np.ndarray:
-    """The probability behind ln odds."""
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * odds)))
-
-
-def _pair_probabilities(found: Found, candidates: int) -> np.ndarray:
-    """(M, C) over the hypotheses."""
-    pairs = np.zeros((found.sets.shape[1], candidates))
-    rows = np.arange(len(pairs))
-    for columns, weight in zip(found.sets, found.weights.tolist()):
-        taken = columns >= 0
-        pairs[rows[taken], columns[taken]] += weight
-    return pairs
-
-
-def _of_trials(found: Found, table: Table, columns: np.ndarray, fate: np.ndarray) -> float:
-    """ln of what sightings that go to landmarks on trial add to the frame's likelihood, each by itself."""
-    total = 0.0
-    for m in np.flatnonzero(fate == kernel.TRIAL).tolist():
-        c = int(columns[m])
-        density = -0.5 * float(table.normalised[m, c]) - math.log(2.0 * math.pi)
-        total += math.log(found.seen[c] / found.missed[c]) + density - math.log(found.density)
-    return total
-
-
-def _excused(found: Found, table: Table, columns: np.ndarray) -> float:
-    """ln of what the misses of doubles had cost: of two landmarks in one place, only one can have the sighting."""
-    z, total = table.expected.z, 0.0
-    taken = columns[columns >= 0]
-    free = np.ones(len(z), dtype=bool)
-    free[taken] = False
-    for m in np.flatnonzero(columns >= 0).tolist():
-        off = z - z[columns[m]]
-        off[:, 1] = wrap(off[:, 1])
-        squared = np.einsum("ci,ij,cj->c", off, np.linalg.inv(table.noises[m]), off)
-        double = free & (squared < _DOUBLE)
-        total -= float(np.log(found.missed[double]).sum())
-        free &= ~double
-    return total
-
-
-def _as_matrix(blocks: np.ndarray) -> np.ndarray:
-    """(C, C, 2, 2) blocks as one matrix (2 C, 2 C)."""
-    count = len(blocks)
-    return np.ascontiguousarray(blocks.transpose(0, 2, 1, 3)).reshape(2 * count, 2 * count)

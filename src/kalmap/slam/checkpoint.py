@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import os
-import zipfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
 from kalmap.association import Djnn, Jcbb, KnownIds, Likelihood, Mda, Nearest, Pmb
 from kalmap.gaussian import Belief
 from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.models.motion import BuiltInMotion
 from kalmap.models.sensor import RangeBearing
-from kalmap.records import ConfigError, LogError
+from kalmap.slam.archive import belief_of, opened, read_header, write_archive
 from kalmap.slam.window import Pending
-from kalmap.slam.window_checkpoint import Reading, Writing, belief_of, restore_window
+from kalmap.slam.window_checkpoint import restore_window
 
 if TYPE_CHECKING:
     from kalmap.perception import Detector
@@ -27,7 +23,7 @@ if TYPE_CHECKING:
 FORMAT = "kalmap-filter/2"
 
 
-class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class FilterState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that is not an array."""
 
     format: str = FORMAT
@@ -56,86 +52,52 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 def save_filter(slam: LandmarkSlam, path: str | os.PathLike[str]) -> None:
     """Write atomically. Raises ConfigError if the filter holds a model that kalmap cannot name."""
-    belief, n, writing = slam._belief, slam._belief.n, Writing()
-    try:
-        header = msgspec.msgpack.encode(
-            _State(
-                motion=slam.motion,  # type: ignore[arg-type]
-                sensor=slam.sensor,  # type: ignore[arg-type]
-                lineariser=slam.lineariser,  # type: ignore[arg-type]
-                association=slam.association,  # type: ignore[arg-type]
-                scope=slam.scope,
-                coordinates=slam.coordinates,
-                use=slam.use,
-                memory=slam._memory,
-                ids=slam._ids,
-                counts=slam._counts,
-                on_trial=sorted(slam._on_trial),
-                merged=slam.merged,
-                rejected=sorted(slam.rejected),
-                frames=slam._frames,
-                founded=slam._founded,
-                time=slam._time.hex(),
-                moved=slam._moved,
-                step_number=slam.step_number,
-                pending=belief.pending,
-                robot=belief.robot,
-                window=[] if slam._window is None else slam._window.pending,
-            ),
-            enc_hook=writing.hook,
-        )
-        msgspec.msgpack.decode(header, type=_State, dec_hook=Reading(writing.arrays).hook)
-    except (TypeError, msgspec.ValidationError) as problem:
-        raise ConfigError(
-            f"this filter holds a part that is not built in and cannot be saved: {problem}"
-        ) from problem
-    buffer = io.BytesIO()
+    belief, n = slam._belief, slam._belief.n
     triangle = belief.packed[: n * (n + 1) // 2]
-    text = np.frombuffer(header, dtype=np.uint8)
-    arrays = {"header": text, "mean": belief.mean[:n], "packed": triangle, "phi": belief.phi} | writing.arrays
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    target = Path(path)
-    partial = target.with_name(target.name + ".partial")
-    partial.write_bytes(buffer.getvalue())
-    os.replace(partial, target)
+    write_archive(path, state_of(slam), {"mean": belief.mean[:n], "packed": triangle, "phi": belief.phi})
 
 
 def load_filter(
     kind: type[LandmarkSlam], path: str | os.PathLike[str], detector: Detector | None
 ) -> LandmarkSlam:
     """Read what `save_filter` wrote."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            header = stored["header"].tobytes()
-            state = msgspec.msgpack.decode(header, type=_State, dec_hook=Reading(stored).hook)
-            belief = belief_of(stored["mean"], stored["packed"], stored["phi"], state.pending)
-        return _rebuild(kind, state, belief, detector)
-    except FileNotFoundError:
-        raise LogError("no such file", file=path) from None
-    except (*_DAMAGE, ConfigError) as problem:
-        raise LogError(f"is no saved filter of kalmap, or is damaged ({problem})", file=path) from problem
+    with opened(path) as stored:
+        state = read_header(stored, FilterState, FORMAT)
+        belief = belief_of(stored["mean"], stored["packed"], stored["phi"], state.pending)
+        return rebuilt(kind, state, belief, detector)
 
 
-# what numpy and zipfile raise on files that are something else or have been damaged, beside their own errors
-_DAMAGE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    msgspec.MsgspecError,
-)
+def state_of(slam: LandmarkSlam) -> FilterState:
+    """All but the belief."""
+    return FilterState(
+        motion=slam.motion,  # type: ignore[arg-type]
+        sensor=slam.sensor,  # type: ignore[arg-type]
+        lineariser=slam.lineariser,  # type: ignore[arg-type]
+        association=slam.association,  # type: ignore[arg-type]
+        scope=slam.scope,
+        coordinates=slam.coordinates,
+        use=slam.use,
+        memory=slam._memory,
+        ids=slam._ids,
+        counts=slam._counts,
+        on_trial=sorted(slam._on_trial),
+        merged=slam.merged,
+        rejected=sorted(slam.rejected),
+        frames=slam._frames,
+        founded=slam._founded,
+        time=slam._time.hex(),
+        moved=slam._moved,
+        step_number=slam.step_number,
+        pending=slam._belief.pending,
+        robot=slam._belief.robot,
+        window=[] if slam._window is None else slam._window.pending,
+    )
 
 
-def _rebuild(
-    kind: type[LandmarkSlam], state: _State, belief: Belief, detector: Detector | None
+def rebuilt(
+    kind: type[LandmarkSlam], state: FilterState, belief: Belief, detector: Detector | None
 ) -> LandmarkSlam:
-    """The filter, if its parts fit together."""
-    if state.format != FORMAT:
-        raise ValueError(f"format {state.format!r}, expected {FORMAT!r}")
+    """The filter. Raises ValueError unless its parts fit together."""
     robot, count = 3 + len(state.motion.biases), len(state.ids)
     if (belief.robot, state.robot, belief.n, len(state.counts)) != (robot, robot, robot + 2 * count, count):
         raise ValueError("its arrays do not fit together")

@@ -40,13 +40,20 @@ from kalmap.slam.checks import (
 )
 from kalmap.slam.engines import BadSampleError, CompiledEngine
 from kalmap.slam.particles import Particles
+from kalmap.slam.set_checkpoint import load_set_filter, save_set_filter
 from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread, rotated
-from kalmap.slam.set_rules import RINGS, rates_from_config, rules_from_config, set_rates
+from kalmap.slam.set_rules import (
+    INTENSITIES,
+    RINGS,
+    checked_config,
+    rates_from_config,
+    rules_from_config,
+    set_rates,
+)
 from kalmap.slam.window import Revisions
 
 _NO_BEAMS = np.zeros((0, 2))
 _DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays with the particle
-_INTENSITIES = ("rb-phd", "srckf-phd")
 _PARALLEL = 8  # particles from which a second thread is worth its start
 
 
@@ -76,7 +83,7 @@ class FiniteSetSlam:
     ) -> None:
         self.motion = VelocitySteering() if motion is None else motion
         self.sensor = RangeBearing() if sensor is None else sensor
-        self.config = FiniteSetConfig(method="pmb") if config is None else config
+        self.config = checked_config(FiniteSetConfig(method="pmb") if config is None else config)
         self.detector, self.extent = detector, extent
         if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
             raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
@@ -236,8 +243,9 @@ class FiniteSetSlam:
 
         self._in_threads(part, number)
         children = np.flatnonzero(np.arange(branches) < made[:, None])
-        weights = particles.log_weights[children // branches] + np.nan_to_num(logs[children], nan=-np.inf)
-        if not np.isfinite(weights.max()):
+        weights = particles.log_weights[children // branches] + logs[children]
+        weights = np.where(np.isnan(weights), -np.inf, weights)
+        if not np.isfinite(weights.max(initial=-np.inf)):
             self.recovered += 1
             children, weights = np.arange(number) * branches, np.zeros(number)
         parents = particles.survive(children, weights, branches, float(self.rng.random()))
@@ -271,9 +279,20 @@ class FiniteSetSlam:
     def _features(self, rows: np.ndarray) -> np.ndarray:
         """Which components of a map (C, COLUMNS) are landmarks of the result, oldest first: (K,) indices."""
         least = self.config.feature
-        if self.config.method in _INTENSITIES:
+        if self.config.method in INTENSITIES:
             least *= (1.0 - float(self.rates.profile.max())) ** self.config.forgive
         return features(rows, self.config.feature, least)
+
+    # --- saving -----------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that the filter knows, so that `load` goes on bit for bit."""
+        save_set_filter(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, detector: Detector | None = None) -> FiniteSetSlam:
+        """The filter that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
+        return load_set_filter(cls, path, detector)
 
     # --- what it says -----------------------------------------------------------------------------------------
 

@@ -8,20 +8,26 @@ not there. Most frames are not in doubt and cost one filter's update.
 from __future__ import annotations
 
 import math
+import os
+import time
 
 import msgspec
 import numpy as np
 
 from kalmap.association import Pmb
+from kalmap.association.pmb import Option
 from kalmap.gaussian import NotPositiveError
 from kalmap.geometry.angles import wrap
 from kalmap.models import MotionModel, SensorModel
+from kalmap.perception import Detector
 from kalmap.records import ConfigError, Estimate, EstimationError, Event, Fix, Frame, Odometry, Sightings
 from kalmap.slam.checks import check_time
 from kalmap.slam.landmark import LandmarkSlam
+from kalmap.slam.mixture_checkpoint import load_mixture, save_mixture
 from kalmap.slam.window import Revisions
 
 _LIGHT = 1e-3  # share of the whole below which a hypothesis is given up
+_SPARE = 2  # times the hypotheses that are kept are carried out first: some become one
 _ALIKE = 0.3  # squared distance of two poses within which hypotheses with as many landmarks are one
 _NARROW = 1.5  # by how much the larger of two variances may be so
 
@@ -56,7 +62,6 @@ class MixtureSlam:
         self.explain = False
         self.frame_revisions: Revisions = {}
         self.association_seconds = 0.0
-        self.split_frames = 0
         self._begun = slam.frames_taken
 
     # --- the filter -------------------------------------------------------------------------------------------
@@ -78,34 +83,56 @@ class MixtureSlam:
     def _observe(self, frame: Sightings, noises: np.ndarray) -> None:
         before = self._first.past
         grown: list[Hypothesis] = []
-        for hypothesis in self._hypotheses:
-            hypothesis.slam.explain = self.explain
-            grown += self._explained(hypothesis, frame, noises)
-        self._hypotheses = _pruned(_joined(_sorted(grown)), self.most)
-        self.split_frames += len(grown) > len(self._hypotheses) or len(grown) > 1
+        for hypothesis, options in self._answers(frame, noises):
+            grown += _carried_out(hypothesis, options, frame, noises)
+        self._hypotheses = _pruned(_sorted(_joined(_sorted(grown))), self.most)
         self.frame_revisions = _revisions(before, self._first.past, self._begun)
 
-    def _explained(self, hypothesis: Hypothesis, frame: Sightings, noises: np.ndarray) -> list[Hypothesis]:
-        """What becomes of one explanation: itself with the likeliest answer, and a copy for each other."""
-        slam = hypothesis.slam
-        association = slam.association
-        assert isinstance(association, Pmb)
-        options = association.options(slam.memory, frame, slam.predicted(frame, noises), self.most)
-        slams = [slam, *(slam.copy() for _ in options[1:])]
-        grown = []
-        for each, option in zip(slams, options, strict=True):
-            each.take_decided(frame, noises, option.association)
-            each.took(frame.time)
-            told = each.frame_labels, each.frame_decision
-            past = [*hypothesis.past, told] if len(slams) > 1 else hypothesis.past
-            if len(slams) == 1:
-                past.append(told)
-            grown.append(Hypothesis(each, hypothesis.log_weight + option.log_likelihood, past))
-        return grown
+    def _answers(self, frame: Sightings, noises: np.ndarray) -> list[tuple[Hypothesis, list[Option]]]:
+        """Each explanation with its answers to a frame that are worth carrying out, over all of them."""
+        begin = time.perf_counter()
+        whole = []
+        for hypothesis in self._hypotheses:
+            slam = hypothesis.slam
+            slam.explain = self.explain
+            assert isinstance(slam.association, Pmb)
+            predicted = slam.predicted(frame, noises)
+            whole.append((hypothesis, slam.association.options(slam.memory, frame, predicted, self.most)))
+        logs = [each.log_weight + option.log_likelihood for each, options in whole for option in options]
+        least = max(logs) + math.log(_LIGHT)
+        if len(logs) > _SPARE * self.most:
+            least = max(least, sorted(logs, reverse=True)[_SPARE * self.most - 1])
+        answers = []
+        for hypothesis, options in whole:
+            kept = [option for option in options if hypothesis.log_weight + option.log_likelihood >= least]
+            if kept:
+                answers.append((hypothesis, kept))
+        self.association_seconds += time.perf_counter() - begin
+        return answers
 
     def twin(self) -> MixtureSlam:
         """A fresh estimator with the same settings, at the origin."""
         return MixtureSlam(self._first.slam.twin(), self.most)
+
+    # --- saving -----------------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that it knows, so that `load` goes on bit for bit; of past frames the labels, without
+        reasons. Built-in parts only."""
+        save_mixture(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, detector: Detector | None = None) -> MixtureSlam:
+        """The mixture that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
+        return load_mixture(cls, path, detector)
+
+    def resume(
+        self, begun: int, slams: list[LandmarkSlam], logs: list[float], pasts: list[list[Told]]
+    ) -> None:
+        """Go on from these explanations; begun: how many frames had been taken before the first that pasts tell."""
+        whole = zip(slams, logs, pasts, strict=True)
+        self._hypotheses = [Hypothesis(slam, log, past) for slam, log, past in whole]
+        self._begun = begun
 
     # --- what it says -----------------------------------------------------------------------------------------
 
@@ -145,16 +172,19 @@ class MixtureSlam:
 
     @property
     def pose_covariance(self) -> np.ndarray:
-        """(3, 3) about the likeliest explanation's pose: its own, and what the others differ from it by."""
+        """(3, 3) about the likeliest explanation's pose: its own, and by how much more the others differ from it.
+
+        Never less than its own, so that it fits the map's: what others are surer of is left out.
+        """
         own = self._first.slam.pose_covariance
         if len(self._hypotheses) == 1:
             return own
-        whole, pose = np.zeros((3, 3)), self.pose
-        for weight, hypothesis in zip(self.weights.tolist(), self._hypotheses):
-            off = hypothesis.slam.pose - pose
-            off[2] = wrap(off[2])
-            whole += weight * (hypothesis.slam.pose_covariance + np.outer(off, off))
-        return whole
+        off = np.array([hypothesis.slam.pose for hypothesis in self._hypotheses]) - self.pose
+        off[:, 2] = wrap(off[:, 2])
+        spreads = np.array([hypothesis.slam.pose_covariance for hypothesis in self._hypotheses])
+        values, axes = np.linalg.eigh(spreads + off[:, :, None] * off[:, None] - own)
+        more = (axes * np.maximum(values, 0.0)[:, None]) @ axes.transpose(0, 2, 1)
+        return np.asarray(own + np.einsum("h,hij->ij", self.weights, more))
 
     @property
     def landmark_count(self) -> int:
@@ -198,6 +228,23 @@ class MixtureSlam:
     def estimate(self) -> Estimate:
         """A snapshot of the likeliest explanation; the pose's covariance holds what the others differ by."""
         return msgspec.structs.replace(self._first.slam.estimate(), covariance=self.pose_covariance)
+
+
+def _carried_out(
+    hypothesis: Hypothesis, options: list[Option], frame: Sightings, noises: np.ndarray
+) -> list[Hypothesis]:
+    """What becomes of one explanation: itself with the likeliest answer, and a copy for each other."""
+    slams = [hypothesis.slam, *(hypothesis.slam.copy() for _ in options[1:])]
+    pasts = [hypothesis.past, *(hypothesis.past.copy() for _ in options[1:])]
+    if len(options) > 1:
+        pasts[0] = hypothesis.past.copy()  # what was told before the frame is still asked for
+    grown = []
+    for slam, past, option in zip(slams, pasts, options, strict=True):
+        slam.take_decided(frame, noises, option.association)
+        slam.took(frame.time)
+        past.append((slam.frame_labels, slam.frame_decision))
+        grown.append(Hypothesis(slam, hypothesis.log_weight + option.log_likelihood, past))
+    return grown
 
 
 def _sorted(hypotheses: list[Hypothesis]) -> list[Hypothesis]:

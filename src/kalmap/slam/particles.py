@@ -89,11 +89,12 @@ class Particles:
     def weigh(self, log_factors: np.ndarray) -> bool:
         """Multiply the weights and normalise; False, with the weights made equal, if none is left."""
         whole = self.log_weights + log_factors
+        whole = np.where(np.isnan(whole), -np.inf, whole)
         most = whole.max(initial=-np.inf)
         if not np.isfinite(most):
             self.log_weights = np.full(len(self), -np.log(len(self)))
             return False
-        whole = np.where(np.isnan(whole), -np.inf, whole) - most
+        whole -= most
         self.log_weights = whole - np.log(np.exp(whole).sum())
         return True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Protocol
 
 import numpy as np
@@ -79,6 +80,10 @@ class Slam(Protocol):
 
     def settled_labels(self, labels: np.ndarray) -> np.ndarray:
         """The labels of all frames so far, as they are seen now."""
+        ...
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that it knows, so that a resumed run ends bit for bit like one that never stopped."""
         ...
 
     def twin(self) -> Slam:

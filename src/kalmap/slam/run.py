@@ -41,7 +41,7 @@ class Outcome(msgspec.Struct, frozen=True):
     sightings themselves. All four are empty where association was given, truth_ids also where the log has none.
     association_seconds: s of the runtime spent in the association. decisions: the audit trail, one entry a frame, if
     it was asked for. dead_reckoning: times (K,) and poses (K, 3) of odometry alone, if asked for. course: of the map,
-    where it is a random finite set.
+    where it is a random finite set. recovered: how often all particles had lost all weight, None without particles.
     """
 
     estimate: Estimate
@@ -60,6 +60,7 @@ class Outcome(msgspec.Struct, frozen=True):
     decisions: list[Frame]
     dead_reckoning: tuple[np.ndarray, np.ndarray] | None
     course: MapCourse | None
+    recovered: int | None
     error: KalmapError | None
     interrupted: bool
 
@@ -179,6 +180,7 @@ class _Loop:
         self.decisions: list[Frame] = []
         self.scored = slam.labels
         self.keeper = CourseKeeper(slam) if isinstance(slam, FiniteSetSlam) else None
+        self.recovered = slam.recovered if isinstance(slam, FiniteSetSlam) else 0  # before this run
         self.reckoner = _reckoner(slam, log) if reckon else None
 
     def skip(self, record: Skipped) -> None:
@@ -252,6 +254,7 @@ class _Loop:
         reckoned = None
         if self.reckoner is not None:
             reckoned = np.array(recorder.times), np.array(recorder.reckoned).reshape(-1, 3)
+        recovered = self.slam.recovered - self.recovered if isinstance(self.slam, FiniteSetSlam) else None
         return Outcome(
             estimate=self.slam.estimate(),
             trace=recorder.trace(),
@@ -269,6 +272,7 @@ class _Loop:
             decisions=self.decisions,
             dead_reckoning=reckoned,
             course=None if self.keeper is None else self.keeper.course(),
+            recovered=recovered,
             error=error,
             interrupted=interrupted,
         )

@@ -10,8 +10,10 @@ import numpy as np
 from kalmap.geometry.ellipses import chi_square_2
 from kalmap.kernels import set_layout as layout
 from kalmap.models import RangeBearing
-from kalmap.records import FiniteSetConfig
+from kalmap.records import ConfigError, FiniteSetConfig
 
+INTENSITIES = ("rb-phd", "srckf-phd")
+METHODS = (*INTENSITIES, "mh-fastslam", "pmb")
 RINGS = 8
 _LEAST = 1e-6  # a probability of 0 or 1, or no clutter at all, leaves nothing to weigh an exception with
 _LEAST_CLUTTER = 1e-4  # false sightings a frame
@@ -60,6 +62,20 @@ class Rates(msgspec.Struct):
     def false_rate(self) -> float:
         """False sightings a frame."""
         return max(self.false_ / self.frames, _LEAST_CLUTTER)
+
+
+def checked_config(config: FiniteSetConfig) -> FiniteSetConfig:
+    """The settings. Raises ConfigError for one without a meaning, or a method that particles do not carry out."""
+    if config.method not in METHODS:
+        raise ConfigError(f"finite_set.method: {config.method} is none of {', '.join(METHODS)}")
+    values = msgspec.structs.asdict(config)
+    for name, value in values.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"finite_set.{name}: expected a finite number, got {value}")
+    try:
+        return msgspec.convert(values, FiniteSetConfig)
+    except msgspec.ValidationError as problem:
+        raise ConfigError(f"finite_set: {problem}") from problem
 
 
 def rates_from_config(config: FiniteSetConfig) -> Rates:

@@ -202,6 +202,7 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         "frames": outcome.frames,
         "sightings": outcome.sightings,
         "skipped": outcome.skipped_total,
+        "recovered": outcome.recovered,
         "association_accuracy_at_once": at_once,
         "association_s": outcome.association_seconds if config.by_place else None,
     }
