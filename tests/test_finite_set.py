@@ -95,8 +95,8 @@ def test_a_known_feature_of_a_density_outlives_one_miss():
     rows = np.zeros((4, 8))
     rows[:, 0], rows[:, 7] = [0.9, 0.05, 0.05, 0.004], [1.0, 5.0, 1.0, 5.0]
     rows[:, 6] = np.arange(4)
-    np.testing.assert_array_equal(features(rows, 0.6, 0.1), [0, 1])
-    np.testing.assert_array_equal(features(rows, 0.6), [0])
+    np.testing.assert_array_equal(features(rows, 0.6, 0.006), [0, 1])
+    np.testing.assert_array_equal(features(rows, 0.6, 0.6), [0])
 
 
 def test_detection_falls_straight_with_range():

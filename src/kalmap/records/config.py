@@ -214,7 +214,8 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         and clutter are where to start, the filter learns them as it goes, detection in rings of range.
     gate: probability inside which a pair counts. prune: weight below which a component is dropped. merge: squared
         Mahalanobis distance within which two are one. cap: most components of a particle's map.
-    feature: weight or existence from which a component is a landmark of the result.
+    feature: weight or existence from which a component is a landmark of the result. forgive: "rb-phd" and "srckf-phd":
+        misses in a row that do not take away a landmark which was sighted three times (0: as published).
     resample: share of the particles below which the effective sample size brings resampling.
     occlusion: m, how far behind a beam's end a landmark counts as hidden, where a log has scans.
     """
@@ -234,6 +235,7 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     merge: Positive = 4.0
     cap: Annotated[int, msgspec.Meta(ge=16, le=1_000_000)] = 20_000
     feature: Probability = 0.6
+    forgive: Annotated[int, msgspec.Meta(ge=0, le=10)] = 1
     resample: Share = 0.5
     branches: Annotated[int, msgspec.Meta(ge=1, le=64)] = 4
     occlusion: Positive = 1.0

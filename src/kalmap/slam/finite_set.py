@@ -278,8 +278,10 @@ class FiniteSetSlam:
 
     def _features(self, rows: np.ndarray) -> np.ndarray:
         """Which components of a map (C, COLUMNS) are landmarks of the result, oldest first: (K,) indices."""
-        missed = 1.0 - float(self.rates.profile.max()) if self.config.method in INTENSITIES else 1.0
-        return features(rows, self.config.feature, missed)
+        least = self.config.feature
+        if self.config.method in INTENSITIES:
+            least *= (1.0 - float(self.rates.profile.max())) ** self.config.forgive
+        return features(rows, self.config.feature, least)
 
     # --- saving -----------------------------------------------------------------------------------------------
 

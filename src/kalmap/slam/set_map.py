@@ -41,14 +41,14 @@ def rotated(roots: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return turned
 
 
-def features(rows: np.ndarray, threshold: float, missed: float = 1.0) -> np.ndarray:
+def features(rows: np.ndarray, threshold: float, least: float) -> np.ndarray:
     """Which rows (C, COLUMNS) of a map are landmarks of the result, oldest first: (K,) indices.
 
-    missed: what a miss leaves of a weight. A density has no memory: what was well known falls to that at one miss and
-    stays there once out of view; so what was sighted `_KNOWN` times is one until it was missed twice.
+    Those of a weight of `threshold`, and of those that were sighted `_KNOWN` times the ones of `least`: a density has
+    no memory, so what was well known falls to 1 - P_D of its weight at one miss and stays there once out of view.
     """
     weight = rows[:, layout.WEIGHT]
-    known = (rows[:, layout.SEEN] >= _KNOWN) & (weight >= threshold * missed * missed)
+    known = (rows[:, layout.SEEN] >= _KNOWN) & (weight >= least)
     chosen = np.flatnonzero((weight >= threshold) | known)
     return chosen[np.argsort(rows[chosen, layout.ID], kind="stable")]
 

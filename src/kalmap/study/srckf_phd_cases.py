@@ -20,7 +20,13 @@ CAR_PARK = "car-park"
 
 SRCKF, RB = "srckf-phd", "rb-phd"
 OWN_SRCKF, OWN_RB = f"{SRCKF}, sightings", f"{RB}, sightings"
-_AS_PUBLISHED: dict[str, Any] = {"proposal": "motion", "weighting": "single-feature", "prune": 1e-5}
+_AS_PUBLISHED: dict[str, Any] = {
+    "proposal": "motion",
+    "weighting": "single-feature",
+    "prune": 1e-5,
+    "feature": 0.6,
+    "forgive": 0,
+}
 _OWN: dict[str, Any] = {"proposal": "sightings", "weighting": "multi-feature"}
 METHODS: dict[str, dict[str, Any]] = {
     SRCKF: {"method": SRCKF, **_AS_PUBLISHED},
