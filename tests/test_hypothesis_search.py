@@ -136,20 +136,22 @@ def test_the_truth_is_likely():
     assert np.median(np.abs(exact - got)) < 0.01
 
 
+@pytest.mark.parametrize("near", [0.0, 6.0])
 @pytest.mark.parametrize(("reach", "half"), [(20.0, 1.2), (np.inf, 0.7), (15.0, np.pi), (np.inf, np.pi)])
-def test_shares_in_view_are_those_of_a_gaussian(reach, half):
-    """Oracle: scipy.stats.norm across the edge of range and the nearer edge of bearing; certain where nothing is
+def test_shares_in_view_are_those_of_a_gaussian(near, reach, half):
+    """Oracle: scipy.stats.norm between the edges of range and to the nearer edge of bearing; certain where nothing is
     uncertain."""
     rng = np.random.default_rng(7)
     z = np.c_[rng.uniform(1, 40, 50), rng.uniform(-1.5, 1.5, 50)]
-    spreads = np.array([random_covariance(rng, 2, 2.0) for _ in z])
-    got = np.empty(50)
-    view_shares(z, spreads, 0.0, reach, half, got)
-    exact = np.ones(50)
-    if np.isfinite(reach):
-        exact *= norm.cdf((reach - z[:, 0]) / np.sqrt(spreads[:, 0, 0]))
+    spreads = np.array([random_covariance(rng, 2, 4.0) for _ in z])
+    got, sigma = np.empty(50), np.sqrt(spreads[:, 0, 0])
+    view_shares(z, spreads, near, reach, half, got)
+    exact = norm.cdf((reach - z[:, 0]) / sigma)
+    if near > 0.0:
+        exact -= norm.cdf((near - z[:, 0]) / sigma)
     if half < np.pi:
         exact *= norm.cdf((half - np.abs(z[:, 1])) / np.sqrt(spreads[:, 1, 1]))
-    np.testing.assert_allclose(got, exact, rtol=1e-10, atol=1e-14)
-    view_shares(z, np.zeros_like(spreads), reach, half, got)
-    np.testing.assert_array_equal(got, (z[:, 0] < reach) & ((np.abs(z[:, 1]) < half) | (half == np.pi)))
+    np.testing.assert_allclose(got, exact, rtol=1e-9, atol=1e-12)
+    view_shares(z, np.zeros_like(spreads), near, reach, half, got)
+    within = (near < z[:, 0]) & (z[:, 0] < reach)
+    np.testing.assert_array_equal(got, within & ((np.abs(z[:, 1]) < half) | (half == np.pi)))

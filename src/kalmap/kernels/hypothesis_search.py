@@ -128,13 +128,16 @@ def _sorted(sets, logs, made):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def view_shares(z, spreads, min_range, max_range, half_view, out):
-    """out (C,): probability that what is expected at z (C, 2), with covariance spreads (C, 2, 2), is in view."""
+    """out (C,): probability that what is expected at z (C, 2), with covariance spreads (C, 2, 2), is in view.
+
+    Of the view's two sides the nearer alone counts.
+    """
     for c in range(len(z)):
         share = 1.0
         if max_range < math.inf:
-            share *= _below(max_range - z[c, 0], spreads[c, 0, 0])
+            share = _below(max_range - z[c, 0], spreads[c, 0, 0])
         if min_range > 0.0:
-            share *= _below(z[c, 0] - min_range, spreads[c, 0, 0])
+            share = max(share - _below(min_range - z[c, 0], spreads[c, 0, 0]), 0.0)
         if half_view < math.pi:
             share *= _below(half_view - abs(z[c, 1]), spreads[c, 1, 1])
         out[c] = share
