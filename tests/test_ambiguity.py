@@ -41,7 +41,7 @@ class Problem:
         trial = rng.random(self.c) < 0.2
         self.table = Table(
             Sightings(0.0, self.z), self.expected, trial, squared + self.extra, normalised + self.extra,
-            self.extra, GATE, GATE, np.ones(self.c, bool),
+            self.extra, self.noises, GATE, GATE, np.ones(self.c, bool),
         )  # fmt: skip
         self.columns = np.full(self.m, -1)
         free = [c for c in rng.permutation(self.c).tolist() if not trial[c]]

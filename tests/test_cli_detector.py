@@ -10,7 +10,10 @@ from kalmap.records import PerceptionConfig, RunConfig
 
 TREES = RunConfig(perception=PerceptionConfig(detector="trees", max_range=40.0, clearance=1.5))
 NOTHING = dict.fromkeys(
-    ("scope", "coordinates", "use", "association", "management", "detector", "config_file", "seed")
+    (
+        *("scope", "coordinates", "use", "association", "management", "detector", "config_file", "seed"),
+        *("method", "particles", "proposal", "weighting"),
+    )
 )
 
 

@@ -124,3 +124,21 @@ def test_children_take_the_place_of_their_parents():
     best = int(np.argmax(particles.log_weights))
     np.testing.assert_array_equal(particles.poses[best], [3.0, 4.0, 5.0])
     assert particles.map_of(best)[0, 0] == 0.7
+
+
+def test_the_best_particle_is_the_heaviest_also_after_resampling():
+    """Oracle: the weights before: whichever child comes first, it has the heaviest one's pose and map."""
+    slam = make("pmb")
+    for number in range(3):
+        slam.step(frame(float(number), sightings_of(PLACES)))
+    particles = slam._particles
+    weights = np.linspace(0.1, 0.2, len(particles))
+    weights[-1] = 3.0
+    particles.log_weights = np.log(weights / weights.sum())
+    slam._say()
+    pose, rows = particles.poses[slam.best].copy(), slam.map()
+    assert slam.best == len(particles) - 1
+    parents = particles.resample(0.5)
+    slam._best = int(np.flatnonzero(parents == slam._best)[0])
+    np.testing.assert_array_equal(particles.poses[slam.best], pose)
+    np.testing.assert_array_equal(slam.map(), rows)

@@ -184,7 +184,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         odds = np.clip(odds, np.where(table.trial, -_MOST, _BELIEVED), _MOST)
         changed = np.flatnonzero(change.seen | missed)
         tally = np.zeros((_RINGS, 2))
-        believed = ~table.trial & (change.should | change.seen) & (found.odds > 0.0)
+        believed = ~table.trial & (change.should | change.seen) & (found.odds >= 0.0)
         ring = np.minimum(found.rings[believed], _RINGS - 1)
         np.add.at(tally, (ring, 0), change.seen[believed])
         np.add.at(tally, (ring, 1), 1.0)
@@ -261,7 +261,8 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         reach = predicted.max_range
         if not math.isfinite(reach):
             reach = max(float(table.sightings.values[:, 0].max(initial=1.0)), 1.0)
-        density = max(false / frames, _LEAST) / (reach * 2.0 * predicted.half_view)
+        depth = reach - predicted.min_range
+        density = max(false / frames, _LEAST) / (depth * 2.0 * predicted.half_view)
         detection = np.empty(len(expected.indices))
         near, far = predicted.min_range, predicted.max_range
         view_shares(expected.z, expected.spreads, near, far, predicted.half_view, detection)

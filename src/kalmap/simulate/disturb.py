@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from kalmap.records import ConfigError, Event, Log, Sightings, Skipped
+from kalmap.records import ConfigError, Event, Log, Scan, Sightings, Skipped
 
 NO_LANDMARK = -1
 
@@ -19,25 +19,33 @@ def with_clutter(log: Log, mean: float, seed: int) -> Log:
 
     They are uniform in range and bearing over what the log's sensor sees (its default settings), have id -1 and, of
     every attribute, the value of a sighting drawn from the frame (NaN in an empty one). The same seed gives the same
-    log. Raises ConfigError for a mean below 0 or beyond 1000.
+    log. Its default settings of sets expect so much more. Raises ConfigError for a mean below 0 or beyond 1000, and
+    when the log turns out to hold scans.
     """
     if not 0.0 <= mean <= 1000.0:
         raise ConfigError(f"clutter: expected 0 to 1000 false sightings a frame, got {mean:g}")
     sensor = log.defaults.sensor
-    reach, view = sensor.max_range, math.radians(sensor.field_of_view_deg)
+    depth, view = sensor.max_range - sensor.min_range, math.radians(sensor.field_of_view_deg)
 
     def disturbed(skip: Callable[[Skipped], None] | None) -> Iterator[Event]:
         rng = np.random.default_rng(seed)
         for event in log.open(skip):
+            if isinstance(event, Scan):
+                raise ConfigError(
+                    "clutter: the log holds scans; false sightings can be added to sightings only"
+                )
             if not isinstance(event, Sightings):
                 yield event
                 continue
             shares = rng.random((rng.poisson(mean), 2))
-            false = np.column_stack([reach * (1.0 - shares[:, 0]), view * (shares[:, 1] - 0.5)])
+            false = np.column_stack([sensor.max_range - depth * shares[:, 0], view * (shares[:, 1] - 0.5)])
             yield _joined(event, false, rng)
 
     settings = {**log.settings, "clutter": {"mean": mean, "seed": seed}}
-    return msgspec.structs.replace(log, open=disturbed, settings=settings)
+    sets = log.defaults.finite_set
+    sets = msgspec.structs.replace(sets, clutter=sets.clutter + mean)
+    defaults = msgspec.structs.replace(log.defaults, finite_set=sets)
+    return msgspec.structs.replace(log, open=disturbed, settings=settings, defaults=defaults)
 
 
 def _joined(frame: Sightings, false: np.ndarray, rng: np.random.Generator) -> Sightings:

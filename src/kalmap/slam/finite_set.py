@@ -107,7 +107,7 @@ class FiniteSetSlam:
         self._foreseen = self._particles.poses
         self._pose, self._spread = pose, covariance
         self._numbers: dict[int, int] = {}
-        self._count = 0
+        self._count = self._best = 0
         self._time = float("-inf")
         self._moved = False
         self._changes = 0
@@ -177,7 +177,9 @@ class FiniteSetSlam:
         self._say()
         self._learn_rates(explained, tallies)
         if particles.effective < self.config.resample * len(particles):
-            self._left = self._left[particles.resample(float(self.rng.random()))]
+            parents = particles.resample(float(self.rng.random()))
+            self._left = self._left[parents]
+            self._best = int(np.flatnonzero(parents == self._best)[0])  # the heaviest has a child at least
             self.resampled += 1
         weights = particles.weights
         self._ahead.start(weights @ particles.biases)
@@ -266,11 +268,13 @@ class FiniteSetSlam:
         if self.config.estimate:
             weights = self._particles.weights
             could, were = np.einsum("n,nkr->kr", weights, tallies)
-            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)))
+            false = 1.0 - self._rules[set_layout.BIRTH]  # of what nothing explains, new landmarks left out
+            self.rates.take(could, were, false * float(weights @ (1.0 - explained).sum(axis=1)))
 
     def _say(self) -> None:
         """What is asked for at every instant, once a frame."""
         particles = self._particles
+        self._best = int(np.argmax(particles.log_weights))
         self._pose = mean_pose(particles)
         self._spread = pose_spread(particles, self._pose, self._left)
         rows = particles.map_of(self.best)
@@ -303,8 +307,8 @@ class FiniteSetSlam:
 
     @property
     def best(self) -> int:
-        """The heaviest particle."""
-        return int(np.argmax(self._particles.log_weights))
+        """The particle that was heaviest at the last frame, or the first of its children."""
+        return self._best
 
     @property
     def pose(self) -> np.ndarray:
@@ -337,7 +341,9 @@ class FiniteSetSlam:
 
     def twin(self) -> FiniteSetSlam:
         """A fresh filter with the same settings, at the origin."""
-        return FiniteSetSlam(self.motion, self.sensor, self.config, extent=self.extent)
+        return FiniteSetSlam(
+            self.motion, self.sensor, self.config, detector=self.detector, extent=self.extent
+        )
 
     def landmark_places(self) -> np.ndarray:
         """(K, 2) m: the landmarks of the best particle's map, oldest first."""

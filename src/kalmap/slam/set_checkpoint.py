@@ -73,6 +73,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     moved: bool
     frames: int
     step_number: int
+    best: int
     resampled: int
     recovered: int
 
@@ -97,6 +98,7 @@ def save_set_filter(slam: FiniteSetSlam, path: str | os.PathLike[str]) -> None:
         moved=slam._moved,
         frames=slam.frames_taken,
         step_number=slam.step_number,
+        best=slam.best,
         resampled=slam.resampled,
         recovered=slam.recovered,
     )
@@ -192,5 +194,6 @@ def _rebuilt(kind: type[FiniteSetSlam], state: _State, detector: Detector | None
     slam._numbers, slam._count = state.numbers, state.count
     slam._time, slam._moved = float.fromhex(state.time), state.moved
     slam.frames_taken, slam.step_number = state.frames, state.step_number
+    slam._best = min(max(state.best, 0), len(particles.poses) - 1)
     slam.resampled, slam.recovered = state.resampled, state.recovered
     return slam

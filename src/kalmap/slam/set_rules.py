@@ -110,7 +110,9 @@ def set_rates(rules: np.ndarray, rates: Rates, new_rate: float, sensor: RangeBea
     """Write the clutter's density and the share of new landmarks among what no landmark explains."""
     clutter = rates.false_rate
     rules[layout.CLUTTER_RATE] = clutter
-    rules[layout.CLUTTER] = clutter / (sensor.max_range * min(sensor.field_of_view, 2.0 * math.pi))
+    rules[layout.CLUTTER] = clutter / (
+        (sensor.max_range - sensor.min_range) * min(sensor.field_of_view, 2.0 * math.pi)
+    )
     rules[layout.BIRTH] = new_rate / (new_rate + clutter)
 
 
