@@ -11,6 +11,7 @@ from finite_sets_cases import CAR_PARK, CLUTTERED, LIMIT, PLAIN, Job, Record
 
 Column = tuple[str, str, str]  # title, key, format
 
+NEES = "nees"  # one decimal, or as a power where it is beyond all sense
 TIME: Column = ("CPU ms a frame", "cpu_ms", ".3f")
 CLUTTER_COLUMNS: tuple[Column, ...] = (
     ("position RMS m", "position_rmse_m", ".2f"),
@@ -20,7 +21,7 @@ CLUTTER_COLUMNS: tuple[Column, ...] = (
     ("features off", "off", ".1f"),
     ("OSPA in the course", "ospa_course_m", ".2f"),
     ("F1", "association_f1", ".3f"),
-    ("NEES (3)", "nees_mean", ".1f"),
+    ("NEES (3)", "nees_mean", NEES),
     TIME,
     ("ms by the clock", "clock_ms", ".3f"),
 )
@@ -30,7 +31,7 @@ FIELD_COLUMNS: tuple[Column, ...] = (
     ("heading RMS deg", "heading_rmse_deg", ".2f"),
     ("GOSPA m", "gospa_m", ".1f"),
     ("landmarks", "landmarks", ".1f"),
-    ("NEES (3)", "nees_mean", ".1f"),
+    ("NEES (3)", "nees_mean", NEES),
     ("CPU ms a step", "cpu_ms", ".3f"),
     ("ms by the clock", "clock_ms", ".3f"),
 )
@@ -109,6 +110,14 @@ def rows_of(records: Sequence[Record], part: str, where: str | None = None) -> l
     return rows
 
 
+def _told(value: float | None, form: str) -> str:
+    if value is None:
+        return "-"
+    if form == NEES:
+        form = ".1f" if abs(value) < 1e3 else ".0e"
+    return f"{value:{form}}"
+
+
 def table(
     rows: Sequence[Record],
     columns: Sequence[Column],
@@ -118,7 +127,7 @@ def table(
     """Methods as rows."""
     cells = []
     for row in rows:
-        told = ["-" if row.get(key) is None else f"{row[key]:{form}}" for _, key, form in columns]
+        told = [_told(row.get(key), form) for _, key, form in columns]
         cells.append([row["method"], *told, *extra(row), str(row["runs"]), str(row["failed"])])
     return report.table(("method", *(column[0] for column in columns), *head, "seeds", "failed"), cells)
 
@@ -260,12 +269,16 @@ def bars(records: Sequence[Record]) -> list[tuple[str, str, str, str, str]]:
             add(f"clutter-20-70: {name} leads rb-phd", "leads", "-", ", ".join(told),
                 all(mine[key] < other[key] for key, _ in keys))  # fmt: skip
     field = {row["method"]: row for row in rows_of(records, "field") if row["runs"]}
+    if LIMIT in field:
+        row = field[LIMIT]
+        got = f"{row['position_rmse_m']:.2f} m, {row['gospa_m']:.1f} GOSPA, seeds: {row['runs']}"
+        found.append((f"field-160: {LIMIT}, the limit", "-", "-", got, "-"))
     for number, (metres, _, gospa) in PUBLISHED_FIELD.items():
         for name in ("pmb", "rb-phd", "srckf-phd", "mh-fastslam", "pmbm"):
             row = field.get(f"{name}, {number}")
             if row:
                 add(f"field-160: {name}, {number}", f"below {metres} m and {gospa}", f"{metres} m, {gospa} GOSPA",
-                    f"{row['position_rmse_m']:.2f} m, {row['gospa_m']:.1f} GOSPA, {row['runs']} seeds",
+                    f"{row['position_rmse_m']:.2f} m, {row['gospa_m']:.1f} GOSPA, seeds: {row['runs']}",
                     row["position_rmse_m"] < metres and row["gospa_m"] < gospa)  # fmt: skip
     for name in (*cases.PARTICLES, "pmbm"):
         row = field.get(f"{name}, 10")
@@ -315,13 +328,16 @@ def missing_text(missing: Sequence[Job]) -> str:
     """What was not run."""
     if not missing:
         return "Every run was finished."
-    groups: dict[tuple[str, str, str], list[int]] = {}
+    groups: dict[tuple[str, str], dict[str, list[int]]] = {}
     for job in missing:
-        groups.setdefault((job.part, job.where, job.method), []).append(job.seed)
-    lines = [
-        f"- {part}, {where}, {name}: seeds {', '.join(str(seed) for seed in seeds)}"
-        for (part, where, name), seeds in groups.items()
-    ]
+        groups.setdefault((job.part, job.where), {}).setdefault(job.method, []).append(job.seed)
+    lines = []
+    for (part, where), methods in groups.items():
+        alike: dict[tuple[int, ...], list[str]] = {}
+        for name, seeds in methods.items():
+            alike.setdefault(tuple(seeds), []).append(name)
+        told = [f"{'; '.join(names)} (seeds {', '.join(map(str, seeds))})" for seeds, names in alike.items()]
+        lines.append(f"- {part}, {where}: {' / '.join(told)}.")
     return "\n".join(["Asked for and not run:\n", *lines])
 
 
