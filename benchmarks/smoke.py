@@ -15,13 +15,15 @@ import msgspec  # isort: skip
 import numpy as np  # isort: skip
 
 from kalmap import run, slam_from_config
-from kalmap.evaluation import pose_nees, score_pairs
-from kalmap.records import AssociationConfig
+from kalmap.evaluation import evaluate, pose_nees, score_pairs
+from kalmap.records import AssociationConfig, FiniteSetConfig
 from kalmap.simulate import simulate, world_by_name
+from kalmap.slam.run import warm_up
 
 SLOPE, BLAS_RATIO, BUFFERS = 2.4, 2.5, 1.3
 STEP_SHARE = 0.1  # of n^2 doubles: what a step may allocate at n = 2,003
 DJNN_US, DJNN_F1, DJNN_FEATURES = 250.0, 0.9, 400.0  # a frame at 300 landmarks; djnn-10 with the defaults
+SET_MS, SET_POSITION, SET_OFF = 4.0, 2.5, 4.0  # a frame of phd-1 by pmb with five particles
 MS_PER_SCAN, POSITION_M, FEATURES_M, NEES = 1.0, 12.0, 8.0, 12.0  # course-35, the default filter
 
 
@@ -64,6 +66,23 @@ def djnn_10() -> dict[str, float]:
     }
 
 
+def phd_1() -> dict[str, float]:
+    """pmb with five particles in the world of Yan et al.: CPU ms a frame, RMS error, features too many or too few."""
+    log = simulate(world_by_name("phd-1"), 1)
+    sets = FiniteSetConfig(method="pmb", particles=5, threads=1, detection=0.95, clutter=1.0)
+    slam = slam_from_config(msgspec.structs.replace(log.defaults, finite_set=sets), log)
+    warm_up(slam)
+    begin = time.process_time()
+    outcome = run(slam, log, reckon=False)
+    spent = time.process_time() - begin
+    truth = log.references[0]
+    return {
+        "ms": 1e3 * spent / outcome.frames,
+        "position": float(evaluate(outcome.trace, outcome.estimate, log)["position_rmse_m"] or np.inf),
+        "off": float(abs(len(outcome.estimate.landmarks) - len(truth.landmarks))),
+    }
+
+
 def checks() -> list[tuple[str, float, float]]:
     """(what, measured, at most)."""
     scaling.Course(100, "cr-cdkf").timed(5)  # compiles
@@ -73,6 +92,7 @@ def checks() -> list[tuple[str, float, float]]:
     step = scaling.step_memory(2003, "cr-cdkf")
     grown = scaling.map_memory(1003, "cr-cdkf")
     paper = djnn_10()
+    sets = phd_1()
     frame = association.measure((300,), 100, 3, ("djnn",))[0]
     return [
         ("DJNN at 300 landmarks, us a frame", frame["median_us"], DJNN_US),
@@ -88,6 +108,9 @@ def checks() -> list[tuple[str, float, float]]:
         ("course-35, position m", run["position"], POSITION_M),
         ("course-35, features m", run["features"], FEATURES_M),
         ("course-35, NEES (3 is right)", run["nees"], NEES),
+        ("phd-1, pmb with 5 particles, CPU ms a frame", sets["ms"], SET_MS),
+        ("phd-1, pmb, position m", sets["position"], SET_POSITION),
+        ("phd-1, pmb, features too many or too few (39 are real)", sets["off"], SET_OFF),
     ]  # fmt: skip
 
 
