@@ -74,8 +74,8 @@ def _about(plan: Plan) -> list[str]:
         "that it takes 726 looks. So numbers are compared with the paper's in their order, not in their size; only "
         "the times are of the same number of looks, theirs in MATLAB on a computer of 2.66 GHz.",
         f"srckf-phd and rb-phd are as published: {PARTICLES} particles, drawn from odometry alone and weighed by a "
-        "single feature, by the cubature rule in srckf-phd, which also keeps the covariance of the pose in its update and "
-        "takes the heaviest component however light. They drop components below 1e-5 and count those from 0.6 on. "
+        "single feature, by the cubature rule in srckf-phd, which also keeps the covariance of the pose in its update "
+        "and takes the heaviest component however light. They drop components below 1e-5 and count those from 0.6 on. "
         "The two called sightings draw from what a frame makes likely and weigh by all features in view, as kalmap "
         "does by default, drop components below 1e-3 and forgive a known feature one miss. All know P_D "
         f"({world.detection_probability:g}) and clutter exactly; all see the same logs, seed by seed.",
