@@ -4,7 +4,9 @@ The pose is x(e) = x compose exp(R e), e ~ N(0, I), R the root of the motion sin
 p(e) prod_z (c(z) + sum_j P_D w_j N(z; h(x(e), m_j), S_j)), the likelihood of a Poisson map, is found by expectation
 maximisation: every pair's probability at the present e, then one Gauss-Newton step with these as weights. The first
 pairs are judged with the uncertainty of the pose in their covariance, later ones with what is left of it, so that no
-association is decided. The Gaussian at the mode is sampled; the weight is p(e) / q(e) times the set likelihood.
+association is decided. The Gaussian at the mode is sampled; the weight is p(e) / q(e) times the set likelihood. That is
+exact for a whole draw (`spread_by` 1); with part of the deviation drawn the rest stays as the particle's covariance,
+and the likelihood, blurred by it, is an approximation.
 """
 
 import math
