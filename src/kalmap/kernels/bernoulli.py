@@ -19,7 +19,6 @@ from kalmap.kernels.frame import (
     in_view,
     likelihood,
     pair_distances,
-    well_in_view,
     write_back,
 )
 from kalmap.kernels.mixture import merged, reduce
@@ -90,7 +89,7 @@ def bernoulli_update(
     for j in range(seen):
         prior = block[active[j]]
         _after(prior, looks[j], innovations, pairs, free, j, scratch, members, rows[total])
-        if prior[WEIGHT] >= 0.5 and well_in_view(rules, looks[j]):
+        if prior[WEIGHT] >= 0.5:
             count_ring(rules, looks[j, RANGE], prior[WEIGHT], 1.0 - free[j], tally[0], tally[1])
         if rows[total, WEIGHT] >= rules[PRUNE]:
             total += 1

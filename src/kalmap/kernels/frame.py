@@ -23,7 +23,6 @@ from kalmap.kernels.set_layout import (
     L21,
     L22,
     MAX_RANGE,
-    MIN_RANGE,
     NORM,
     PRUNE,
     RANGE,
@@ -45,7 +44,6 @@ FRAME_IDS = 4096  # ids of one frame's births
 _UNSEEN = 1e-6  # below this probability of detection a component takes no part
 _MARGIN = 0.5  # rad beside the view that is looked at more closely
 _SIGMAS = 6.0
-_INSIDE = 2.5  # standard deviations from an edge from which on a component is well in view
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,18 +137,6 @@ def write_back(block, count, active, seen, rows, new):
         count -= 1
         block[active[k]] = block[count]
     return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def well_in_view(rules, row):
-    """Whether a component is so far inside every edge of the view that a miss of it says something of P_D."""
-    if (
-        row[RANGE] + _INSIDE * row[W11] > rules[MAX_RANGE]
-        or row[RANGE] - _INSIDE * row[W11] < rules[MIN_RANGE]
-    ):
-        return False
-    across = _INSIDE * math.hypot(row[W21], row[W22])
-    return rules[HALF_VIEW] >= math.pi or abs(row[BEARING]) + across < rules[HALF_VIEW]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -18,7 +18,6 @@ from kalmap.kernels.frame import (
     in_view,
     likelihood,
     pair_distances,
-    well_in_view,
     write_back,
 )
 from kalmap.kernels.particles import place, with_kept
@@ -112,7 +111,7 @@ def _count(rules, block, active, looks, seen, given, logs, made, tally):
                 hits[given[k, i]] += share
     for j in range(seen):
         weight = min(block[active[j], WEIGHT], 1.0)
-        if weight >= 0.5 and well_in_view(rules, looks[j]):
+        if weight >= 0.5:
             count_ring(rules, looks[j, RANGE], weight, hits[j] / whole, tally[0], tally[1])
 
 

@@ -22,7 +22,6 @@ from kalmap.kernels.frame import (
     in_view,
     likelihood,
     pair_distances,
-    well_in_view,
     write_back,
 )
 from kalmap.kernels.looks import detection, look
@@ -185,7 +184,7 @@ def phd_update(setup, rules, profile, beams, pose, root, noise, block, count, z,
     for j in range(seen):
         after += updated[j]
         # whatever its weight: those that were not missed lately would bias the share
-        if prior[j, SEEN] >= _KNOWN and well_in_view(rules, looks[j]):
+        if prior[j, SEEN] >= _KNOWN:
             count_ring(rules, looks[j, RANGE], 1.0, min(hits[j], 1.0), tally[0], tally[1])
     kept = np.empty((total + sightings, COLUMNS))
     reduced = reduce(rules, rows, total, kept)

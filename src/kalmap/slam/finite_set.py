@@ -268,8 +268,7 @@ class FiniteSetSlam:
         if self.config.estimate:
             weights = self._particles.weights
             could, were = np.einsum("n,nkr->kr", weights, tallies)
-            false = 1.0 - self._rules[set_layout.BIRTH]  # of what nothing explains, new landmarks left out
-            self.rates.take(could, were, false * float(weights @ (1.0 - explained).sum(axis=1)))
+            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)))
 
     def _say(self) -> None:
         """What is asked for at every instant, once a frame."""
