@@ -72,7 +72,7 @@ def messages(odds, pairs, free):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cluster(odds, start, of_sighting, of_feature, rows, columns):
+def _cluster(odds, start, of_sighting, of_feature, rows, columns):
     """The cluster around sighting `start`; marks its members and lists them. Returns (rows, columns) counts."""
     count, features = odds.shape
     rows[0], n, m = start, 1, 0
@@ -96,6 +96,28 @@ def cluster(odds, start, of_sighting, of_feature, rows, columns):
                 rows[n] = i
                 n += 1
     return n, m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clusters(odds):
+    """The clusters of odds (M, F) that hold a pair, one after the other.
+
+    Returns rows (M,) and columns (F,), cluster by cluster, and the edges (K + 1,) of each cluster's part of them.
+    """
+    count, features = odds.shape
+    of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
+    rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
+    row_edges, column_edges = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
+    found = 0
+    for start in range(count):
+        if of_sighting[start]:
+            continue
+        low, first = row_edges[found], column_edges[found]
+        n, m = _cluster(odds, start, of_sighting, of_feature, rows[low:], columns[first:])
+        if m > 0:
+            row_edges[found + 1], column_edges[found + 1] = low + n, first + m
+            found += 1
+    return rows, columns, row_edges[: found + 1], column_edges[: found + 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -193,16 +215,12 @@ def _exact_pairs(part, pairs, alone, alone_inside):
 @njit(cache=True, nogil=True, error_model="numpy")
 def log_sum_of_associations(odds):
     """ln Z of odds (M, F): exact cluster by cluster, by messages where a cluster is too large on both sides."""
-    count, features = odds.shape
-    of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
-    rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
+    all_rows, all_columns, row_edges, column_edges = clusters(odds)
     total = 0.0
-    for start in range(count):
-        if of_sighting[start]:
-            continue
-        n, m = cluster(odds, start, of_sighting, of_feature, rows, columns)
-        if m == 0:
-            continue
+    for k in range(len(row_edges) - 1):
+        rows = all_rows[row_edges[k] : row_edges[k + 1]]
+        columns = all_columns[column_edges[k] : column_edges[k + 1]]
+        n, m = len(rows), len(columns)
         if min(n, m) <= EXACT_SIDE:
             total += _exact(_oriented(odds, rows, columns, n, m))
             continue
@@ -220,18 +238,14 @@ def marginals(odds, pairs, free):
 
     pairs (M, F) is zero beyond the clusters, free (F,) one for features without pair.
     """
-    count, features = odds.shape
-    of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
-    rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
+    all_rows, all_columns, row_edges, column_edges = clusters(odds)
     pairs[:, :] = 0.0
     free[:] = 1.0
     total = 0.0
-    for start in range(count):
-        if of_sighting[start]:
-            continue
-        n, m = cluster(odds, start, of_sighting, of_feature, rows, columns)
-        if m == 0:
-            continue
+    for k in range(len(row_edges) - 1):
+        rows = all_rows[row_edges[k] : row_edges[k + 1]]
+        columns = all_columns[column_edges[k] : column_edges[k + 1]]
+        n, m = len(rows), len(columns)
         if n == 1 and m == 1:
             value = odds[rows[0], columns[0]]
             pairs[rows[0], columns[0]] = value / (1.0 + value)

@@ -16,9 +16,7 @@ from kalmap.kernels.frame import (
     births,
     corrected,
     count_ring,
-    in_view,
-    likelihood,
-    pair_distances,
+    look_around,
     write_back,
 )
 from kalmap.kernels.mixture import merged, reduce
@@ -29,7 +27,6 @@ from kalmap.kernels.set_layout import (
     COLUMNS,
     DETECTION,
     ID,
-    LOOK,
     PRUNE,
     RANGE,
     SEEN,
@@ -67,21 +64,19 @@ def bernoulli_update(
     setup, rules, profile, beams, pose, root, noise, block, count, z, number, explained, tally
 ):
     """Update the map in place; returns (new count, ln p(Z | x)). Arguments as `phd_update`."""
-    active, looks = np.empty(count, np.int64), np.empty((count + 1, LOOK))
-    seen = in_view(setup, rules, profile, beams, pose, root, noise, block, count, active, looks)
-    sightings = len(z)
-    innovations, squared = np.empty((sightings, seen, 2)), np.empty((sightings, seen))
-    pair_distances(rules, looks, seen, z, innovations, squared)
+    active, looks, innovations, densities = look_around(
+        setup, rules, profile, beams, pose, root, noise, block, count, z
+    )
+    sightings, seen = densities.shape
     alone = rules[CLUTTER] / (1.0 - rules[BIRTH])
     log_sum = sightings * math.log(alone) - rules[CLUTTER_RATE]
-    odds, pairs, free = np.zeros((sightings, seen)), np.empty((sightings, seen)), np.empty(seen)
+    odds, pairs, free = np.empty((sightings, seen)), np.empty((sightings, seen)), np.empty(seen)
     for j in range(seen):
         existence, row = block[active[j], WEIGHT], looks[j]
         missed = 1.0 - existence * row[DETECTION]
         log_sum += math.log(missed)
         for i in range(sightings):
-            if squared[i, j] < math.inf:
-                odds[i, j] = existence * row[DETECTION] * likelihood(row, squared[i, j]) / (missed * alone)
+            odds[i, j] = existence * row[DETECTION] * densities[i, j] / (missed * alone)
     log_sum += marginals(odds, pairs, free)
     rows, scratch = np.empty((seen, COLUMNS)), np.empty((sightings + 1, COLUMNS))
     members = np.empty(sightings + 1, np.int64)
@@ -100,4 +95,4 @@ def bernoulli_update(
     for k in range(reduced):
         kept[k, WEIGHT] = min(kept[k, WEIGHT], SUREST)
     new = births(setup, rules, pose, root, z, noise, explained, number, kept, reduced)
-    return write_back(block, count, active, seen, kept, new), log_sum
+    return write_back(block, count, active, kept, new), log_sum

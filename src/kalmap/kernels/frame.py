@@ -22,6 +22,7 @@ from kalmap.kernels.set_layout import (
     L11,
     L21,
     L22,
+    LOOK,
     MAX_RANGE,
     NORM,
     PRUNE,
@@ -74,21 +75,42 @@ def in_view(setup, rules, profile, beams, pose, root, noise, block, count, activ
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_distances(rules, looks, seen, z, innovations, squared):
-    """Innovations (M, C, 2) and squared distances (M, C) of every pair; inf beyond the gate."""
+def likelihood(row, squared):
+    """Density of a sighting at that squared distance."""
+    return math.exp(-0.5 * squared - row[NORM])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _densities(rules, looks, z, innovations, densities):
+    """Innovations (M, C, 2) and densities N(nu; 0, S) (M, C) of every pair; zero beyond the gate."""
     for i in range(len(z)):
-        for j in range(seen):
+        for j in range(len(looks)):
             row = looks[j]
             a = (z[i, 0] - row[RANGE]) / row[W11]
-            squared[i, j] = math.inf
+            densities[i, j] = 0.0
             if a * a > rules[GATE]:
                 continue
             nu = wrap(z[i, 1] - row[BEARING])
             b = (nu - row[W21] * a) / row[W22]
-            distance = a * a + b * b
-            if distance <= rules[GATE]:
-                squared[i, j] = distance
+            squared = a * a + b * b
+            if squared <= rules[GATE]:
+                densities[i, j] = likelihood(row, squared)
                 innovations[i, j, 0], innovations[i, j, 1] = z[i, 0] - row[RANGE], nu
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look_around(setup, rules, profile, beams, pose, root, noise, block, count, z):
+    """What every update of a map begins with: who may be seen, and how well each sighting fits.
+
+    Returns the components in view, indices (C,), how they look (C, LOOK), and of every pair the innovation (M, C, 2)
+    and its density (M, C), zero beyond the gate.
+    """
+    active, looks = np.empty(count, np.int64), np.empty((count + 1, LOOK))
+    seen = in_view(setup, rules, profile, beams, pose, root, noise, block, count, active, looks)
+    active, looks = active[:seen], looks[:seen]
+    innovations, densities = np.empty((len(z), seen, 2)), np.empty((len(z), seen))
+    _densities(rules, looks, z, innovations, densities)
+    return active, looks, innovations, densities
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -97,12 +119,6 @@ def corrected(component, row, nu, out):
     out[X] = component[X] + row[K11] * nu[0] + row[K12] * nu[1]
     out[Y] = component[Y] + row[K21] * nu[0] + row[K22] * nu[1]
     out[L11], out[L21], out[L22] = row[U11], row[U21], row[U22]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def likelihood(row, squared):
-    """Density of a sighting at that squared distance."""
-    return math.exp(-0.5 * squared - row[NORM])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -121,11 +137,12 @@ def births(setup, rules, pose, root, z, noise, explained, number, rows, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_back(block, count, active, seen, rows, new):
+def write_back(block, count, active, rows, new):
     """Put `new` rows in the place of the active components; holes are filled from the end. Returns the new count.
 
     What does not fit into the block is left out: its capacity is the cap.
     """
+    seen = len(active)
     for k in range(min(new, seen)):
         block[active[k]] = rows[k]
     for k in range(seen, new):

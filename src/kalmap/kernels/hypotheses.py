@@ -15,13 +15,10 @@ from kalmap.kernels.frame import (
     births,
     corrected,
     count_ring,
-    in_view,
-    likelihood,
-    pair_distances,
+    look_around,
     write_back,
 )
-from kalmap.kernels.particles import place, with_kept
-from kalmap.kernels.proposal import world_root
+from kalmap.kernels.particles import set_out
 from kalmap.kernels.ranking import best_associations
 from kalmap.kernels.set_layout import (
     BIRTH,
@@ -30,7 +27,6 @@ from kalmap.kernels.set_layout import (
     CLUTTER_RATE,
     COLUMNS,
     DETECTION,
-    LOOK,
     PRUNE,
     RANGE,
     SEEN,
@@ -59,25 +55,24 @@ def existence_if_given(existence, detection, density, alone):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _odds(rules, block, active, looks, seen, squared, odds):
+def _odds(rules, block, active, looks, densities, odds):
     """Odds (M, C) of every pair against both being alone; returns ln of the likelihood if all are."""
-    sightings = len(odds)
+    sightings, seen = odds.shape
     alone = rules[CLUTTER] / (1.0 - rules[BIRTH])
     total = sightings * math.log(alone) - rules[CLUTTER_RATE]
     for j in range(seen):
         sighted = min(block[active[j], WEIGHT], SUREST) * looks[j, DETECTION]
         total += math.log(1.0 - sighted)
         for i in range(sightings):
-            odds[i, j] = 0.0
-            if squared[i, j] < math.inf:
-                odds[i, j] = sighted * likelihood(looks[j], squared[i, j]) / ((1.0 - sighted) * alone)
+            odds[i, j] = sighted * densities[i, j] / ((1.0 - sighted) * alone)
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _landmarks(rules, block, active, looks, seen, innovations, squared, given, rows):
+def _landmarks(rules, block, active, looks, innovations, densities, given, rows):
     """The landmarks in view after the frame under one hypothesis, given (M,), in `rows`; returns how many stay."""
     alone = rules[CLUTTER] / (1.0 - rules[BIRTH])
+    seen = len(active)
     sighting = np.full(seen, -1, np.int64)
     for i in range(len(given)):
         if given[i] >= 0:
@@ -91,8 +86,7 @@ def _landmarks(rules, block, active, looks, seen, innovations, squared, given, r
             row[WEIGHT] = existence_if_missed(existence, detection)
         else:
             corrected(prior, looks[j], innovations[i, j], row)
-            density = likelihood(looks[j], squared[i, j])
-            row[WEIGHT] = existence_if_given(existence, detection, density, alone)
+            row[WEIGHT] = existence_if_given(existence, detection, densities[i, j], alone)
             row[SEEN] = prior[SEEN] + 1.0
         if row[WEIGHT] >= rules[PRUNE]:
             total += 1
@@ -100,8 +94,9 @@ def _landmarks(rules, block, active, looks, seen, innovations, squared, given, r
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count(rules, block, active, looks, seen, given, logs, made, tally):
+def _count(rules, block, active, looks, given, logs, made, tally):
     """Add the frame's features and hits to `tally`, each hypothesis with its share of the probability of those made."""
+    seen = len(active)
     hits, whole = np.zeros(seen), 0.0
     for k in range(made):
         share = math.exp(logs[k] - logs[0])
@@ -140,24 +135,23 @@ def hypotheses_update(
     a birth beyond the capacity is left out. out_logs (K,): ln of the likelihood of the frame under the hypothesis.
     explained (K, M): 1 for a sighting given to a landmark, 0 for one that founds a landmark or is clutter.
     """
-    active, looks = np.empty(count, np.int64), np.empty((count + 1, LOOK))
-    seen = in_view(setup, rules, profile, beams, pose, root, noise, block, count, active, looks)
-    sightings = len(z)
-    innovations, squared = np.empty((sightings, seen, 2)), np.empty((sightings, seen))
-    pair_distances(rules, looks, seen, z, innovations, squared)
+    active, looks, innovations, densities = look_around(
+        setup, rules, profile, beams, pose, root, noise, block, count, z
+    )
+    sightings, seen = densities.shape
     odds, given = np.empty((sightings, seen)), np.empty((len(out_logs), sightings), np.int64)
-    log_alone = _odds(rules, block, active, looks, seen, squared, odds)
+    log_alone = _odds(rules, block, active, looks, densities, odds)
     made = best_associations(odds, given, out_logs)
     rows = np.empty((seen + sightings, COLUMNS))
     for k in range(made):
         out_logs[k] += log_alone
         for i in range(sightings):
             explained[k, i] = 1.0 if given[k, i] >= 0 else 0.0
-        total = _landmarks(rules, block, active, looks, seen, innovations, squared, given[k], rows)
+        total = _landmarks(rules, block, active, looks, innovations, densities, given[k], rows)
         new = births(setup, rules, pose, root, z, noise, explained[k], number, rows, total)
         out_blocks[k, :count] = block[:count]
-        out_counts[k] = write_back(out_blocks[k], count, active, seen, rows, new)
-    _count(rules, block, active, looks, seen, given, out_logs, made, tally)
+        out_counts[k] = write_back(out_blocks[k], count, active, rows, new)
+    _count(rules, block, active, looks, given, out_logs, made, tally)
     return made
 
 
@@ -198,14 +192,10 @@ def step_hypotheses(
     (N K,), ln of the factor on the particle's weight, explained (N K, M); children (N,): how many. They share its pose.
     """
     branches = int(rules[BRANCHES])
-    pose, within, whole = np.empty(3), np.zeros((3, 3)), root.copy()
-    kept = math.sqrt(max(1.0 - spread_by * spread_by, 0.0))
+    within = np.empty((3, 3))
     for p in range(first, last):
         block, count = blocks[slots[p]], counts[slots[p]]
-        if kept > 0.0:
-            with_kept(root, kept * left[p], delta, poses[p, 2], whole)
-        ways[p] = whole
-        log_factor = place(
+        log_factor = set_out(
             setup,
             rules,
             profile,
@@ -214,36 +204,19 @@ def step_hypotheses(
             block,
             count,
             poses[p],
-            whole,
+            root,
+            delta,
             z,
             proposal,
+            known_pose,
             spread_by,
             normals[p],
-            pose,
             left[p],
-        )
-        poses[p] = pose
-        if not known_pose:
-            world_root(pose[2], root, within)
-        elif kept > 0.0:
-            within[:] = kept * left[p]
-        low, high = p * branches, (p + 1) * branches
-        children[p] = hypotheses_update(
-            setup,
-            rules,
-            profile,
-            beams,
-            pose,
+            ways[p],
             within,
-            noise,
-            block,
-            count,
-            z,
-            number,
-            child_blocks[low:high],
-            child_counts[low:high],
-            child_logs[low:high],
-            explained[low:high],
-            tallies[p],
         )
+        low, high = p * branches, (p + 1) * branches
+        what = setup, rules, profile, beams, poses[p], within, noise, block, count, z, number
+        out = child_blocks[low:high], child_counts[low:high], child_logs[low:high], explained[low:high]
+        children[p] = hypotheses_update(*what, *out, tallies[p])
         child_logs[low : low + children[p]] += log_factor

@@ -63,6 +63,62 @@ def with_kept(root, left, delta, heading, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def set_out(
+    setup,
+    rules,
+    profile,
+    beams,
+    noise,
+    block,
+    count,
+    pose,
+    root,
+    delta,
+    z,
+    proposal,
+    known_pose,
+    spread_by,
+    normal,
+    left,
+    way,
+    within,
+):
+    """What one particle's frame begins with: where it goes. Returns ln of what that weighs.
+
+    pose (3,): where odometry puts it, on return where it is. left (3, 3): root of the covariance that is left of the
+    pose, before and after. way (3, 3): on return the root of all that was not known of the pose; within (3, 3): of what
+    the update of the map takes for unknown. The rest as `step_particles`.
+    """
+    kept = math.sqrt(max(1.0 - spread_by * spread_by, 0.0))
+    way[:] = root
+    if kept > 0.0:
+        with_kept(root, kept * left, delta, pose[2], way)
+    where = np.empty(3)
+    log_factor = place(
+        setup,
+        rules,
+        profile,
+        beams,
+        noise,
+        block,
+        count,
+        pose,
+        way,
+        z,
+        proposal,
+        spread_by,
+        normal,
+        where,
+        left,
+    )
+    pose[:] = where
+    within[:] = kept * left
+    if not known_pose:
+        world_root(pose[2], root, within)
+    return log_factor
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_particles(
     setup,
     rules,
@@ -99,14 +155,10 @@ def step_particles(
     draws, multiplied with spread_by. left (N, 3, 3): root of the covariance that is left of each pose. log_factors
     (N,), explained (N, M), tallies (N, 2, RINGS): out.
     """
-    pose, within, whole = np.empty(3), np.zeros((3, 3)), root.copy()
-    kept = math.sqrt(max(1.0 - spread_by * spread_by, 0.0))
+    within = np.empty((3, 3))
     for p in range(first, last):
         block, count = blocks[slots[p]], counts[slots[p]]
-        if kept > 0.0:
-            with_kept(root, kept * left[p], delta, poses[p, 2], whole)
-        ways[p] = whole
-        log_factor = place(
+        log_factor = set_out(
             setup,
             rules,
             profile,
@@ -115,50 +167,21 @@ def step_particles(
             block,
             count,
             poses[p],
-            whole,
+            root,
+            delta,
             z,
             proposal,
+            known_pose,
             spread_by,
             normals[p],
-            pose,
             left[p],
+            ways[p],
+            within,
         )
-        poses[p] = pose
-        if not known_pose:
-            world_root(pose[2], root, within)
-        elif kept > 0.0:
-            within[:] = kept * left[p]
+        what = setup, rules, profile, beams, poses[p], within, noise, block, count, z, number
         if kind == PHD:
-            count, factor = phd_update(
-                setup,
-                rules,
-                profile,
-                beams,
-                pose,
-                within,
-                noise,
-                block,
-                count,
-                z,
-                number,
-                explained[p],
-                tallies[p],
-            )
+            count, factor = phd_update(*what, explained[p], tallies[p])
         else:
-            count, factor = bernoulli_update(
-                setup,
-                rules,
-                profile,
-                beams,
-                pose,
-                within,
-                noise,
-                block,
-                count,
-                z,
-                number,
-                explained[p],
-                tallies[p],
-            )
+            count, factor = bernoulli_update(*what, explained[p], tallies[p])
         counts[slots[p]] = count
         log_factors[p] = log_factor + factor

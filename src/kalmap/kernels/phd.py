@@ -19,9 +19,8 @@ from kalmap.kernels.frame import (
     births,
     corrected,
     count_ring,
-    in_view,
     likelihood,
-    pair_distances,
+    look_around,
     write_back,
 )
 from kalmap.kernels.looks import detection, look
@@ -95,24 +94,14 @@ def set_likelihood(setup, rules, profile, beams, pose, root, noise, places, coun
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _by_cubature(rules, looks, block, active, seen, squared, updated, before, after):
+def _by_cubature(rules, looks, prior, masses, updated):
     """Equations (25) to (27): the heaviest component alone, its place integrated out by the lineariser's rule."""
-    best = -1
-    for j in range(seen):
-        if best < 0 or block[active[j], WEIGHT] > block[active[best], WEIGHT]:
-            best = j
-    log_clutter = math.log(rules[CLUTTER])
-    count = len(squared)
-    if best < 0:
-        return count * log_clutter + after - before - rules[CLUTTER_RATE]
-    weight, row = block[active[best], WEIGHT], looks[best]
-    total = 0.0
-    for i in range(count):
-        if squared[i, best] < math.inf:
-            total += likelihood(row, squared[i, best])
-    inside = 1.0 - row[DETECTION] + row[DETECTION] * weight * total / rules[CLUTTER]
-    ratio = math.log(inside) - math.log(max(updated[best], 1e-300))
-    return count * log_clutter + ratio + after - before - rules[CLUTTER_RATE]
+    whole = len(masses) * math.log(rules[CLUTTER]) - rules[CLUTTER_RATE]
+    if not len(prior):
+        return whole
+    best = np.argmax(prior[:, WEIGHT])
+    inside = 1.0 - looks[best, DETECTION] + masses[:, best].sum() / rules[CLUTTER]
+    return whole + math.log(inside) - math.log(max(updated[best], 1e-300))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -131,76 +120,79 @@ def _chosen(rules, kept, total, places):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def phd_update(setup, rules, profile, beams, pose, root, noise, block, count, z, number, explained, tally):
-    """Update the map (block's first `count` rows) in place; returns (new count, ln of the particle's weight factor).
+def _updated(rules, prior, looks, innovations, masses, rows, updated, explained, tally, cluster):
+    """The updated intensity, one row a hypothesis, in `rows`; returns how many there are.
 
-    explained (M,): on return the share of each sighting that the map explains. tally (2, RINGS): adds the features
-    that could be seen and those that were. number: of the frame, for the ids of births.
+    masses (M, C): P_D w N of every pair. updated (C,): each component's weight afterwards, all its hypotheses together.
+    cluster (1,): ln p(Z | x) of a Poisson map in closed form. The rest as `phd_update`.
     """
-    active, looks = np.empty(count, np.int64), np.empty((count + 1, LOOK))
-    seen = in_view(setup, rules, profile, beams, pose, root, noise, block, count, active, looks)
-    sightings = len(z)
-    innovations, squared = np.empty((sightings, seen, 2)), np.empty((sightings, seen))
-    pair_distances(rules, looks, seen, z, innovations, squared)
-    prior = np.empty((seen, COLUMNS))
-    updated = np.empty(seen)
-    rows_most = seen + sightings
-    before, pairs, cluster = 0.0, 0, -rules[CLUTTER_RATE]
+    sightings, seen = masses.shape
+    total, cluster[0] = 0, -rules[CLUTTER_RATE]
     for j in range(seen):
-        prior[j] = block[active[j]]
-        before += prior[j, WEIGHT]
         updated[j] = prior[j, WEIGHT] * (1.0 - looks[j, DETECTION])
-        cluster -= prior[j, WEIGHT] * looks[j, DETECTION]
-        for i in range(sightings):
-            pairs += squared[i, j] < math.inf
-    rows = np.empty((rows_most + pairs, COLUMNS))
-    total = 0
-    for j in range(seen):
+        cluster[0] -= prior[j, WEIGHT] * looks[j, DETECTION]
         if updated[j] >= rules[PRUNE]:
             rows[total] = prior[j]
             rows[total, WEIGHT] = updated[j]
             total += 1
     hits = np.zeros(seen)
     for i in range(sightings):
-        sum_ = 0.0
+        mapped = masses[i].sum()
+        whole = rules[CLUTTER] + mapped
+        explained[i] = mapped / whole
+        cluster[0] += math.log(whole)
         for j in range(seen):
-            if squared[i, j] < math.inf:
-                squared_ij = squared[i, j]
-                sum_ += looks[j, DETECTION] * prior[j, WEIGHT] * likelihood(looks[j], squared_ij)
-        whole = rules[CLUTTER] + sum_
-        explained[i] = sum_ / whole
-        cluster += math.log(whole)
-        for j in range(seen):
-            if squared[i, j] < math.inf:
-                weight = looks[j, DETECTION] * prior[j, WEIGHT] * likelihood(looks[j], squared[i, j]) / whole
-                updated[j] += weight
-                hits[j] += weight
-                if weight >= rules[PRUNE]:
-                    corrected(prior[j], looks[j], innovations[i, j], rows[total])
-                    rows[total, WEIGHT], rows[total, ID] = weight, prior[j, ID]
-                    rows[total, SEEN] = prior[j, SEEN] + 1.0
-                    total += 1
-    after = 0.0
+            if masses[i, j] == 0.0:
+                continue
+            weight = masses[i, j] / whole
+            hits[j] += weight
+            if weight >= rules[PRUNE]:
+                corrected(prior[j], looks[j], innovations[i, j], rows[total])
+                rows[total, WEIGHT], rows[total, ID] = weight, prior[j, ID]
+                rows[total, SEEN] = prior[j, SEEN] + 1.0
+                total += 1
     for j in range(seen):
-        after += updated[j]
+        updated[j] += hits[j]
         # whatever its weight: those that were not missed lately would bias the share
         if prior[j, SEEN] >= _KNOWN:
             count_ring(rules, looks[j, RANGE], 1.0, min(hits[j], 1.0), tally[0], tally[1])
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def phd_update(setup, rules, profile, beams, pose, root, noise, block, count, z, number, explained, tally):
+    """Update the map (block's first `count` rows) in place; returns (new count, ln of the particle's weight factor).
+
+    explained (M,): on return the share of each sighting that the map explains. tally (2, RINGS): adds the features
+    that could be seen and those that were. number: of the frame, for the ids of births.
+    """
+    active, looks, innovations, densities = look_around(
+        setup, rules, profile, beams, pose, root, noise, block, count, z
+    )
+    sightings, seen = densities.shape
+    prior = block[active]
+    masses = densities  # P_D w N of every pair, in place
+    for j in range(seen):
+        masses[:, j] *= looks[j, DETECTION] * prior[j, WEIGHT]
+    rows = np.empty((seen + (masses > 0.0).sum(), COLUMNS))
+    updated, cluster = np.empty(seen), np.empty(1)
+    total = _updated(rules, prior, looks, innovations, masses, rows, updated, explained, tally, cluster)
     kept = np.empty((total + sightings, COLUMNS))
     reduced = reduce(rules, rows, total, kept)
+    gained = updated.sum() - prior[:, WEIGHT].sum()
     strategy = int(rules[WEIGHTING])
     if strategy == SINGLE_CLUSTER:
-        log_weight = cluster
+        log_weight = cluster[0]
     elif strategy == CUBATURE_FEATURE:
-        log_weight = _by_cubature(rules, looks, block, active, seen, squared, updated, before, after)
+        log_weight = gained + _by_cubature(rules, looks, prior, masses, updated)
     else:
         places = np.empty((reduced, COLUMNS))
         features = _chosen(rules, kept, reduced, places)
-        log_weight = after - before
+        log_weight = gained
         log_weight += set_likelihood(setup, rules, profile, beams, pose, root, noise, places, features, z)
         for k in range(features):
             x, y = places[k, X], places[k, Y]
             log_weight += math.log(max(intensity(prior, seen, x, y), 1e-300))
             log_weight -= math.log(max(intensity(rows, total, x, y), 1e-300))
     new = births(setup, rules, pose, root, z, noise, explained, number, kept, reduced)
-    return write_back(block, count, active, seen, kept, new), log_weight
+    return write_back(block, count, active, kept, new), log_weight

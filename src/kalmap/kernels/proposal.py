@@ -122,45 +122,63 @@ def _pivots(cov, least):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _expect(setup, pose, root, noise, component, spread, matrix, by_e, own, wide):
+    """Range and bearing of a component; by_e (2, 3): their derivatives by e; own, wide (3,): pivots of the innovation.
+
+    own leaves the pose's part out, wide has what spread (3, 3) still leaves of e in it. matrix (2, 5): scratch.
+    """
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    distance, bearing = sight_jacobian(setup, pose[0], pose[1], pose[2], component[X], component[Y], matrix)
+    s_r, cross, s_b = noise_root(setup, noise, distance)
+    for r in range(2):
+        ahead = cosine * matrix[r, 0] + sine * matrix[r, 1]
+        left = cosine * matrix[r, 1] - sine * matrix[r, 0]
+        for k in range(3):
+            by_e[r, k] = ahead * root[0, k] + left * root[1, k] + matrix[r, 2] * root[2, k]
+    a0 = matrix[0, 3] * component[L11] + matrix[0, 4] * component[L21]
+    a1 = matrix[1, 3] * component[L11] + matrix[1, 4] * component[L21]
+    b0, b1 = matrix[0, 4] * component[L22], matrix[1, 4] * component[L22]
+    own[0] = a0 * a0 + b0 * b0 + s_r * s_r
+    own[1] = a0 * a1 + b0 * b1 + s_r * cross
+    own[2] = a1 * a1 + b1 * b1 + cross * cross + s_b * s_b
+    for r in range(2):
+        for c in range(r + 1):
+            total = own[r + c]
+            for k in range(3):
+                for m in range(3):
+                    total += by_e[r, k] * spread[k, m] * by_e[c, m]
+            wide[r + c] = total
+    _pivots(wide, s_b)
+    _pivots(own, s_b)
+    return distance, bearing
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pull(nu0, nu1, weight, by_e, own, information, pull):
+    """Add what one pair, of that probability, says of e: information (3, 3) and pull (3,)."""
+    i11 = 1.0 / own[2]
+    i01 = -own[1] * i11
+    i00 = 1.0 / own[0] - own[1] * i01
+    for k in range(3):
+        g0 = by_e[0, k] * i00 + by_e[1, k] * i01
+        g1 = by_e[0, k] * i01 + by_e[1, k] * i11
+        pull[k] += weight * (g0 * nu0 + g1 * nu1)
+        for m in range(3):
+            information[k, m] += weight * (g0 * by_e[0, m] + g1 * by_e[1, m])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, spread, information, pull):
     """Add every pair's information (3, 3) and pull (3,) on e at this pose; spread (3, 3): what e still varies by."""
-    matrix, by_e = np.empty((2, 5)), np.empty((seen, 2, 3))
-    expected, own = (
-        np.empty((seen, 2)),
-        np.empty((seen, 3)),
-    )  # own: covariance without the pose's part, as pivots
-    wide, scale = np.empty((seen, 3)), np.empty(seen)
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    matrix, by_e, expected = np.empty((2, 5)), np.empty((seen, 2, 3)), np.empty((seen, 2))
+    own, wide, scale = np.empty((seen, 3)), np.empty((seen, 3)), np.empty(seen)
     for j in range(seen):
         component = block[active[j]]
-        distance, bearing = sight_jacobian(
-            setup, pose[0], pose[1], pose[2], component[X], component[Y], matrix
+        expected[j, 0], expected[j, 1] = _expect(
+            setup, pose, root, noise, component, spread, matrix, by_e[j], own[j], wide[j]
         )
-        expected[j, 0], expected[j, 1] = distance, bearing
-        s_r, cross, s_b = noise_root(setup, noise, distance)
-        for r in range(2):
-            ahead = cosine * matrix[r, 0] + sine * matrix[r, 1]
-            left = cosine * matrix[r, 1] - sine * matrix[r, 0]
-            for k in range(3):
-                by_e[j, r, k] = ahead * root[0, k] + left * root[1, k] + matrix[r, 2] * root[2, k]
-        a0 = matrix[0, 3] * component[L11] + matrix[0, 4] * component[L21]
-        a1 = matrix[1, 3] * component[L11] + matrix[1, 4] * component[L21]
-        b0, b1 = matrix[0, 4] * component[L22], matrix[1, 4] * component[L22]
-        own[j, 0] = a0 * a0 + b0 * b0 + s_r * s_r
-        own[j, 1] = a0 * a1 + b0 * b1 + s_r * cross
-        own[j, 2] = a1 * a1 + b1 * b1 + cross * cross + s_b * s_b
-        for r in range(2):
-            for c in range(r + 1):
-                total = own[j, r + c]
-                for k in range(3):
-                    for m in range(3):
-                        total += by_e[j, r, k] * spread[k, m] * by_e[j, c, m]
-                wide[j, r + c] = total
-        _pivots(wide[j], s_b)
-        _pivots(own[j], s_b)
-        scale[j] = (
-            looks[j, DETECTION] * component[WEIGHT] / (2.0 * math.pi * math.sqrt(wide[j, 0] * wide[j, 2]))
-        )
+        size = 2.0 * math.pi * math.sqrt(wide[j, 0] * wide[j, 2])
+        scale[j] = looks[j, DETECTION] * component[WEIGHT] / size
     share = np.empty(seen)
     for i in range(len(z)):
         whole = rules[CLUTTER]
@@ -175,19 +193,9 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
                 share[j] = scale[j] * math.exp(-0.5 * squared)
                 whole += share[j]
         for j in range(seen):
-            if share[j] < 1e-6 * whole:
-                continue
-            weight = share[j] / whole
-            i11 = 1.0 / own[j, 2]
-            i01 = -own[j, 1] * i11
-            i00 = 1.0 / own[j, 0] - own[j, 1] * i01
-            nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
-            for k in range(3):
-                g0 = by_e[j, 0, k] * i00 + by_e[j, 1, k] * i01
-                g1 = by_e[j, 0, k] * i01 + by_e[j, 1, k] * i11
-                pull[k] += weight * (g0 * nu0 + g1 * nu1)
-                for m in range(3):
-                    information[k, m] += weight * (g0 * by_e[j, 0, m] + g1 * by_e[j, 1, m])
+            if share[j] >= 1e-6 * whole:
+                nu0, nu1 = z[i, 0] - expected[j, 0], wrap(z[i, 1] - expected[j, 1])
+                _pull(nu0, nu1, share[j] / whole, by_e[j], own[j], information, pull)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
-from kalmap.kernels.association_sums import cluster
+from kalmap.kernels.association_sums import clusters
 from kalmap.kernels.matching import match
 
 DROP = 10.0  # an association less probable than exp(-DROP) of the best is left out
@@ -117,26 +117,22 @@ def best_associations(odds, given, scores):
 
     given (K, M): each sighting's feature or -1. scores (K,): ln of the product of the odds of the pairs, best first.
     """
-    count, features = odds.shape
+    all_rows, all_columns, row_edges, column_edges = clusters(odds)
     most = len(scores)
-    of_sighting, of_feature = np.zeros(count, np.bool_), np.zeros(features, np.bool_)
-    rows, columns = np.empty(count, np.int64), np.empty(features, np.int64)
     parents, picks, values = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
     given[0], scores[0], total = -1, 0.0, 1
-    for start in range(count):
-        if of_sighting[start]:
-            continue
-        n, m = cluster(odds, start, of_sighting, of_feature, rows, columns)
-        if m == 0:
-            continue
+    for k in range(len(row_edges) - 1):
+        rows = all_rows[row_edges[k] : row_edges[k + 1]]
+        columns = all_columns[column_edges[k] : column_edges[k + 1]]
+        n, m = len(rows), len(columns)
         costs, forbidden = _costs(odds, rows, columns, n, m)
         options = np.empty((most, n), np.int64)
         found = _rank(costs, forbidden, options, values)
         total = _combine(scores, total, values, found, parents, picks)
         before = given.copy()
-        for k in range(total):
-            given[k] = before[parents[k]]
+        for h in range(total):
+            given[h] = before[parents[h]]
             for a in range(n):
-                taken = options[picks[k], a]
-                given[k, rows[a]] = columns[taken] if taken < m else -1
+                taken = options[picks[h], a]
+                given[h, rows[a]] = columns[taken] if taken < m else -1
     return total
