@@ -20,7 +20,7 @@ from kalmap.records import (
 )
 from kalmap.records.config import AssociationConfig, FiniteSetConfig, SensorConfig
 from kalmap.slam import LandmarkSlam, run
-from kalmap.slam import finite_set as module
+from kalmap.slam import particle_frames as module
 from kalmap.slam.build import slam_from_config
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.mixture import MixtureSlam

@@ -37,7 +37,7 @@ class Djnn(Gated, frozen=True, kw_only=True, tag=True):
         super().__post_init__()
         check(0.0 <= self.widen < math.inf, "widen", "0 or more", self.widen)
 
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, table: Table, predicted: Predicted) -> Matching:
         count = len(table.squared)
         columns, offset = np.full(count, kernel.FREE, dtype=np.int64), np.zeros(2)
         squared, normalised = table.squared.copy(), table.normalised.copy()

@@ -125,9 +125,11 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
 
     def fits(self, memory: Any, count: int) -> bool:
         """Whether every list has an entry for each of `count` landmarks."""
-        return all(len(memory[key]) == count for key in ("confirmed", "score", "serial")) and all(
-            len(known) == count for known in memory["known"]
-        )
+        return all(len(values) == count for values in self._lists(memory))
+
+    def _lists(self, memory: Any) -> tuple[list[Any], ...]:
+        """What the memory holds of each landmark, in the map's order: founded, removed and checked together."""
+        return (memory["confirmed"], memory["score"], memory["serial"], *memory["known"])
 
     def existence(self, memory: Any) -> list[float]:
         """The probability that each landmark is real, as the management has it."""
@@ -136,7 +138,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
     def associate(self, memory: Any, sightings: Sightings, predicted: Predicted) -> Association:
         """Decide a frame. Raises EventError if an attribute that is to be used is not there."""
         table = self._table(memory, sightings, predicted)
-        matching = self._match(memory, table, predicted)
+        matching = self._match(table, predicted)
         doubtful = None
         if self.ambiguity > 0.0:
             doubtful = ambiguous(predicted, table, matching.columns, self.ambiguity)
@@ -154,7 +156,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
             fate[doubtful] = kernel.DOUBTFUL
         return self._conclude(memory, table, matching, columns, fate, predicted)
 
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, table: Table, predicted: Predicted) -> Matching:
         """The associator's own rule: which confirmed candidate each sighting gets."""
         raise NotImplementedError(f"{type(self).__name__} has no rule")
 
@@ -315,7 +317,7 @@ class Gated(msgspec.Struct, frozen=True, kw_only=True):
                 attribute.pool(known, keep, drop)
         removed = {*association.retired, *(drop for _, drop in association.merged)}
         for index in sorted(removed, reverse=True):
-            for values in (memory["confirmed"], memory["score"], memory["serial"], *memory["known"]):
+            for values in self._lists(memory):
                 del values[index]
 
 

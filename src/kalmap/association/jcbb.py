@@ -34,7 +34,7 @@ class Jcbb(Gated, frozen=True, kw_only=True, tag=True):
         check(0.0 <= self.joint_gate <= 1.0, "joint_gate", "a probability", self.joint_gate)
         check(self.work >= 1, "work", "1 or more", self.work)
 
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, table: Table, predicted: Predicted) -> Matching:
         columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
         possible = (table.squared <= table.gate) & ~table.trial
         rows, wanted = np.flatnonzero(possible.any(axis=1)), np.flatnonzero(possible.any(axis=0))

@@ -219,7 +219,7 @@ class Mda(Gated, frozen=True, kw_only=True, tag=True):
         matching = Matching(columns, Reason.WINDOW, Reason.FALSE_ALARM, notes)
         return self._conclude(memory, table, matching, columns, fate, predicted)
 
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, table: Table, predicted: Predicted) -> Matching:
         """A frame by itself: the window of one."""
         columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
         everyone = np.ones(len(columns), dtype=np.bool_)

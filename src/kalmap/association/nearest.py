@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from kalmap.association.associator import Predicted
@@ -22,7 +20,7 @@ class Nearest(Gated, frozen=True, kw_only=True, tag=True):
 
     one_to_one: bool = False
 
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, table: Table, predicted: Predicted) -> Matching:
         if self.one_to_one:
             return _assigned(table)
         columns = np.full(len(table.squared), kernel.FREE, dtype=np.int64)
@@ -38,7 +36,7 @@ class Likelihood(Gated, frozen=True, kw_only=True, tag=True):
     Pairs compete by nu' S^-1 nu + ln det S, twice the negative log-likelihood but for a constant.
     """
 
-    def _match(self, memory: Any, table: Table, predicted: Predicted) -> Matching:
+    def _match(self, table: Table, predicted: Predicted) -> Matching:
         return _assigned(table)
 
 

@@ -92,9 +92,9 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         }
         return super().start() | own
 
-    def fits(self, memory: Any, count: int) -> bool:
-        """Whether every list has an entry for each of `count` landmarks."""
-        return super().fits(memory, count) and len(memory["odds"]) == count
+    def _lists(self, memory: Any) -> tuple[list[Any], ...]:
+        """As every associator by place, and the odds."""
+        return (*super()._lists(memory), memory["odds"])
 
     def existence(self, memory: Any) -> list[float]:
         """The probability that each landmark is real."""
@@ -112,12 +112,9 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         for index, odds in beliefs.odds:
             memory["odds"][index] = odds
         memory["odds"] += [beliefs.new] * change.founded
-        super().settle(memory, association)
         for keep, drop in association.merged:
             memory["odds"][keep] = max(memory["odds"][keep], memory["odds"][drop])
-        removed = {*association.retired, *(drop for _, drop in association.merged)}
-        for index in sorted(removed, reverse=True):
-            del memory["odds"][index]
+        super().settle(memory, association)
 
     def associate(self, memory: Any, sightings: Sightings, predicted: Predicted) -> Association:
         """Decide a frame: the pairs that are nearly sure."""

@@ -9,7 +9,8 @@ import numpy as np
 from kalmap.gaussian import NotPositiveError
 from kalmap.kernels.sensing import first_bad_noise
 from kalmap.models import MotionModel
-from kalmap.records import ConfigError, Event, EventError, Odometry, Sightings
+from kalmap.perception import Detector
+from kalmap.records import ConfigError, Event, EventError, Odometry, Scan, Sightings
 
 
 def check_time(event: Event, now: float) -> None:
@@ -60,6 +61,17 @@ def check_sightings(frame: Sightings, bad: int) -> None:
             time=frame.time,
             field="bearing" if np.isfinite(z[bad, 0]) and z[bad, 0] >= 0.0 else "range",
         )
+
+
+def sighted(event: Event, detector: Detector | None) -> Sightings:
+    """A frame as it is, or as it is found in a scan. Raises EventError for anything else."""
+    if isinstance(event, Scan):
+        if detector is None:
+            raise EventError("a scan came, but the filter has no detector", time=event.time)
+        return detector(event)
+    if not isinstance(event, Sightings):
+        raise EventError(f"{type(event).__name__} is no event that this filter knows", time=event.time)
+    return event
 
 
 def checked_start(start: object, covariance: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

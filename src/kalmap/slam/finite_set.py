@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from kalmap.gaussian import Cubature, Jacobian, NotPositiveError
 from kalmap.gaussian.linearisers import BuiltIn
 from kalmap.geometry.se2 import compose, exponential, inverse, logarithm, quarter_turn, rotate
-from kalmap.kernels import particles as kernel
 from kalmap.kernels import set_layout
-from kalmap.kernels.hypotheses import step_hypotheses
-from kalmap.kernels.regression import square_root
 from kalmap.models import RangeBearing, VelocitySteering
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception import Detector
@@ -27,7 +23,6 @@ from kalmap.records import (
     Fix,
     Frame,
     Odometry,
-    Scan,
     Sightings,
 )
 from kalmap.slam.ahead import Ahead
@@ -37,27 +32,21 @@ from kalmap.slam.checks import (
     check_sightings,
     check_time,
     checked_start,
+    sighted,
 )
 from kalmap.slam.engines import BadSampleError, CompiledEngine
+from kalmap.slam.particle_frames import ParticleFrames
 from kalmap.slam.particles import Particles
 from kalmap.slam.set_checkpoint import load_set_filter, save_set_filter
 from kalmap.slam.set_map import features, joint_of, landmarks_of, mean_pose, pose_spread, rotated
 from kalmap.slam.set_rules import (
     INTENSITIES,
-    RINGS,
     checked_config,
-    rates_from_config,
-    rules_from_config,
-    set_rates,
 )
 from kalmap.slam.window import Revisions
 
-_NO_BEAMS = np.zeros((0, 2))
-_DRAWN = 0.6  # share of a proposal's standard deviation that is drawn; the rest stays with the particle
-_PARALLEL = 8  # particles from which a second thread is worth its start
 
-
-class FiniteSetSlam:
+class FiniteSetSlam(ParticleFrames):
     """RB-PHD, SRCKF-PHD or Poisson multi-Bernoulli SLAM over particles, after the settings.
 
     motion, sensor: built-in models. config: see `FiniteSetConfig`. start, start_covariance: (3,) pose and its (3, 3),
@@ -65,8 +54,7 @@ class FiniteSetSlam:
     many threads there are. extent: m, how far apart the sightings of one landmark from different sides are, as in
     `AssociationConfig`. detector: turns scans into sightings, if scans come.
 
-    An event that cannot be used raises EventError and leaves the state as it was. recovered: how often all particles
-    had lost all weight; they then go on with equal ones.
+    An event that cannot be used raises EventError and leaves the state as it was.
     """
 
     def __init__(
@@ -82,36 +70,30 @@ class FiniteSetSlam:
         detector: Detector | None = None,
     ) -> None:
         self.motion = VelocitySteering() if motion is None else motion
-        self.sensor = RangeBearing() if sensor is None else sensor
-        self.config = checked_config(FiniteSetConfig(method="pmb") if config is None else config)
-        self.detector, self.extent = detector, extent
-        if not (getattr(self.motion, "compiled", False) and getattr(self.sensor, "compiled", False)):
+        sensor = RangeBearing() if sensor is None else sensor
+        config = checked_config(FiniteSetConfig(method="pmb") if config is None else config)
+        self.detector = detector
+        if not (getattr(self.motion, "compiled", False) and getattr(sensor, "compiled", False)):
             raise ConfigError("finite_set: takes the built-in models of motion and sensor only")
-        self.lineariser: BuiltIn = Cubature() if self.config.method == "srckf-phd" else Jacobian()
-        self._engine = CompiledEngine(self.motion, self.sensor, self.lineariser, True, False)
-        self.rng = np.random.default_rng(seed)
+        self.lineariser: BuiltIn = Cubature() if config.method == "srckf-phd" else Jacobian()
+        engine = CompiledEngine(self.motion, sensor, self.lineariser, True, False)
+        rng = np.random.default_rng(seed)
         pose, covariance = checked_start(start, start_covariance)
         biases = self.motion.biases
         means = np.array([bias.mean for bias in biases])
-        self._ahead = Ahead(self._engine, means, np.diag([bias.sigma**2 for bias in biases]))
-        number = self.config.particles
-        poses = np.tile(pose, (number, 1))
+        self._ahead = Ahead(engine, means, np.diag([bias.sigma**2 for bias in biases]))
+        poses = np.tile(pose, (config.particles, 1))
         if covariance.any():
-            poses = self.rng.multivariate_normal(pose, covariance, number, method="eigh")
-        self._particles = Particles(poses, np.tile(means, (number, 1)), self.config.cap)
-        self.rates = rates_from_config(self.config)
-        self._rules = rules_from_config(self.config, self.sensor)
-        self._left = np.zeros((number, 3, 3))
-        self._spread_by = _DRAWN if self.config.proposal == "sightings" else 1.0
-        self._kept = float(np.sqrt(1.0 - self._spread_by**2))
-        self._foreseen = self._particles.poses
+            poses = rng.multivariate_normal(pose, covariance, config.particles, method="eigh")
+        particles = Particles(poses, np.tile(means, (config.particles, 1)), config.cap)
+        super().__init__(engine, sensor, config, particles, extent, rng)
         self._pose, self._spread = pose, covariance
         self._numbers: dict[int, int] = {}
-        self._count = self._best = 0
+        self._count = 0
         self._time = float("-inf")
         self._moved = False
         self._changes = 0
-        self.frames_taken = self.step_number = self.resampled = self.recovered = 0
+        self.step_number = 0
         self.frame_used = 0
         self.frame_sightings: Sightings | None = None
         self.labels, self.explain = False, False
@@ -119,7 +101,6 @@ class FiniteSetSlam:
         self.frame_labels = np.zeros(0, dtype=np.int64)
         self.frame_decision: Frame | None = None
         self.frame_revisions: Revisions = {}
-        self._pool: ThreadPoolExecutor | None = None
 
     # --- the filter -------------------------------------------------------------------------------------------
 
@@ -129,14 +110,8 @@ class FiniteSetSlam:
         try:
             if isinstance(event, Odometry):
                 self._predict(event)
-            elif isinstance(event, Sightings):
-                self._observe(event)
-            elif isinstance(event, Scan):
-                self._observe(self._detect(event))
             elif not isinstance(event, Fix):
-                raise EventError(
-                    f"{type(event).__name__} is no event that this filter knows", time=event.time
-                )
+                self._observe(sighted(event, self.detector))
         except NotPositiveError as problem:
             raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
         self._time = event.time
@@ -151,15 +126,10 @@ class FiniteSetSlam:
         self.step_number += len(event.values)
         self._moved = True
 
-    def _detect(self, scan: Scan) -> Sightings:
-        if self.detector is None:
-            raise EventError("a scan came, but the filter has no detector", time=scan.time)
-        return self.detector(scan)
-
     def _observe(self, frame: Sightings) -> None:
         check_frame(frame, self._moved)
         check_sightings(frame, self._engine.noises(frame.values)[1])
-        particles, z = self._particles, np.ascontiguousarray(frame.values)
+        particles = self._particles
         root, gain, cross = self._ahead.parts()
         delta, reference = self._ahead.delta.copy(), self._ahead.reference
         particles.poses = compose(particles.poses, delta)
@@ -167,7 +137,7 @@ class FiniteSetSlam:
             off = exponential((particles.biases - reference) @ gain.T)
             particles.poses = compose(particles.poses, off)
         self._foreseen = particles.poses.copy()
-        explained, tallies, ways = self._carry(frame, z, root)
+        explained, tallies, ways = self._carry(frame, root, delta)
         if len(reference):
             off = logarithm(compose(inverse(self._foreseen), particles.poses))
             left = self._kept * rotated(self._left, -particles.poses[:, 2])
@@ -176,99 +146,10 @@ class FiniteSetSlam:
         self.frame_sightings = frame
         self._say()
         self._learn_rates(explained, tallies)
-        if particles.effective < self.config.resample * len(particles):
-            parents = particles.resample(float(self.rng.random()))
-            self._left = self._left[parents]
-            self._best = int(np.flatnonzero(parents == self._best)[0])  # the heaviest has a child at least
-            self.resampled += 1
+        self._resample()
         weights = particles.weights
         self._ahead.start(weights @ particles.biases)
         self.frames_taken += 1
-
-    def _carry(self, frame: Sightings, z: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Every particle through the frame, weighed: explained (N, M), tallies (N, 2, RINGS) and ways (N, 3, 3)."""
-        particles, config = self._particles, self.config
-        number = len(particles)
-        set_rates(self._rules, self.rates, config.new_rate, self.sensor)
-        tallies, ways = np.zeros((number, 2, RINGS)), np.empty((number, 3, 3))
-        normals = self.rng.standard_normal((number, 3))
-        by_motion = config.proposal == "motion"
-        begin = (
-            self._engine.setup,
-            self._rules,
-            self.rates.profile,
-            _beams(frame),
-            _noise(frame, self.extent),
-        )
-        way = (root, self._ahead.delta, z, self.frames_taken)
-        how = (
-            kernel.BY_MOTION if by_motion else kernel.BY_SIGHTINGS,
-            not (by_motion and config.method == "srckf-phd"),
-            self._spread_by,
-            normals,
-        )
-        if config.method == "mh-fastslam":
-            return self._branch(begin, way, how, tallies, ways)
-        particles.own(len(z))
-        maps = (particles.blocks, particles.counts, particles.slots, particles.poses)
-        kind = kernel.BERNOULLI if config.method == "pmb" else kernel.PHD
-        log_factors, explained = np.zeros(number), np.zeros((number, len(z)))
-        out = (self._left, ways, log_factors, explained, tallies)
-
-        def part(first: int, last: int) -> None:
-            kernel.step_particles(*begin, *maps, *way, kind, *how, first, last, *out)
-
-        self._in_threads(part, number)
-        if not particles.weigh(log_factors):
-            self.recovered += 1
-        return explained, tallies, ways
-
-    def _branch(
-        self,
-        begin: tuple[np.ndarray, ...],
-        way: tuple[np.ndarray, np.ndarray, np.ndarray, int],
-        how: tuple[int, bool, float, np.ndarray],
-        tallies: np.ndarray,
-        ways: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:
-        """The frame by hypotheses: every particle becomes several, of which as many as there were go on."""
-        particles, branches, z = self._particles, self.config.branches, way[2]
-        number = len(particles)
-        rows, counts = particles.room_for_children(branches, len(z))
-        maps = (particles.blocks, particles.counts, particles.slots, particles.poses)
-        logs, made = np.full(number * branches, -np.inf), np.zeros(number, dtype=np.int64)
-        explained = np.zeros((number * branches, len(z)))
-        out = (self._left, ways, rows, counts, logs, made, explained, tallies)
-
-        def part(first: int, last: int) -> None:
-            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)  # type: ignore[call-arg]
-
-        self._in_threads(part, number)
-        children = np.flatnonzero(np.arange(branches) < made[:, None])
-        weights = particles.log_weights[children // branches] + logs[children]
-        weights = np.where(np.isnan(weights), -np.inf, weights)
-        if not np.isfinite(weights.max(initial=-np.inf)):
-            self.recovered += 1
-            children, weights = np.arange(number) * branches, np.zeros(number)
-        parents = particles.survive(children, weights, branches, float(self.rng.random()))
-        self._left, self._foreseen = self._left[parents], self._foreseen[parents]
-        return explained[particles.slots], tallies[parents], ways[parents]
-
-    def _in_threads(self, part: object, number: int) -> None:
-        threads = min(self.config.threads or os.cpu_count() or 1, max(number // (_PARALLEL // 2), 1))
-        if threads == 1:
-            part(0, number)  # type: ignore[operator]
-            return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(threads)
-        edges = np.linspace(0, number, threads + 1).astype(int)
-        list(self._pool.map(part, edges[:-1].tolist(), edges[1:].tolist()))  # type: ignore[arg-type]
-
-    def _learn_rates(self, explained: np.ndarray, tallies: np.ndarray) -> None:
-        if self.config.estimate:
-            weights = self._particles.weights
-            could, were = np.einsum("n,nkr->kr", weights, tallies)
-            self.rates.take(could, were, float(weights @ (1.0 - explained).sum(axis=1)))
 
     def _say(self) -> None:
         """What is asked for at every instant, once a frame."""
@@ -389,19 +270,3 @@ class FiniteSetSlam:
             bias.name: (float(mean[i]), float(np.sqrt(spread[i])))
             for i, bias in enumerate(self.motion.biases)
         }
-
-
-def _beams(frame: Sightings) -> np.ndarray:
-    """(B, 2) bearing and range of the sweep that the frame was found in; a beam without return is far."""
-    if frame.scan is None:
-        return _NO_BEAMS
-    return np.ascontiguousarray(np.stack([frame.scan.bearings, frame.scan.ranges], axis=1))
-
-
-def _noise(frame: Sightings, extent: float) -> np.ndarray:
-    """(4,) root of the mean noise that the frame states, -1 where it states none; and the landmarks' extent."""
-    if frame.covariance is None or not len(frame.covariance):
-        return np.array([-1.0, -1.0, -1.0, extent])
-    root = np.zeros((2, 2))
-    square_root(frame.covariance.mean(axis=0), 2, root)
-    return np.array([root[0, 0], root[1, 0], root[1, 1], extent])

@@ -23,7 +23,6 @@ from kalmap.records import (
     Frame,
     Landmarks,
     Odometry,
-    Scan,
     Sightings,
 )
 from kalmap.slam.checkpoint import load_filter, save_filter
@@ -34,6 +33,7 @@ from kalmap.slam.checks import (
     check_sightings,
     check_time,
     checked_start,
+    sighted,
 )
 from kalmap.slam.engines import BadSampleError, CompiledEngine, Engine, GeneralEngine
 from kalmap.slam.map_state import MapState
@@ -126,7 +126,7 @@ class LandmarkSlam(MapState):
             if isinstance(event, Odometry):
                 self._predict(event)
             elif not isinstance(event, Fix):
-                self._observe(self.sighted(event))
+                self._observe(sighted(event, self.detector))
         except NotPositiveError as problem:
             raise EstimationError(f"step {self.step_number}, t = {event.time:.6g} s: {problem}") from problem
         self.took(event.time)
@@ -146,16 +146,6 @@ class LandmarkSlam(MapState):
             self._window.moved(event)
         self.step_number += len(event.values)
         self._moved = True
-
-    def sighted(self, event: Event) -> Sightings:
-        """A frame as it is, or as it is found in a scan. Raises EventError for anything else."""
-        if isinstance(event, Scan):
-            if self.detector is None:
-                raise EventError("a scan came, but the filter has no detector", time=event.time)
-            return self.detector(event)
-        if not isinstance(event, Sightings):
-            raise EventError(f"{type(event).__name__} is no event that this filter knows", time=event.time)
-        return event
 
     def noises_of(self, frame: Sightings) -> np.ndarray:
         """(M, 2, 2) of a frame. Raises EventError or NotPositiveError if it cannot be used."""

@@ -21,7 +21,7 @@ from kalmap.geometry.angles import wrap
 from kalmap.models import MotionModel, SensorModel
 from kalmap.perception import Detector
 from kalmap.records import ConfigError, Estimate, EstimationError, Event, Fix, Frame, Odometry, Sightings
-from kalmap.slam.checks import check_time
+from kalmap.slam.checks import check_time, sighted
 from kalmap.slam.landmark import LandmarkSlam
 from kalmap.slam.mixture_checkpoint import load_mixture, save_mixture
 from kalmap.slam.window import Revisions
@@ -36,7 +36,10 @@ Told = tuple[np.ndarray, Frame | None]
 
 
 class Hypothesis(msgspec.Struct):
-    """One explanation of the run: a filter, ln of its weight, and what it made of each frame: labels and decision."""
+    """One explanation of the run: a filter and ln of its weight.
+
+    past: labels and decision of each frame since there was one explanation alone.
+    """
 
     slam: LandmarkSlam
     log_weight: float
@@ -75,7 +78,7 @@ class MixtureSlam:
         first = self._first.slam
         check_time(event, first.time)
         try:
-            frame = first.sighted(event)
+            frame = sighted(event, first.detector)
             self._observe(frame, first.noises_of(frame))
         except NotPositiveError as problem:
             raise EstimationError(f"step {first.step_number}, t = {event.time:.6g} s: {problem}") from problem
@@ -87,6 +90,8 @@ class MixtureSlam:
             grown += _carried_out(hypothesis, options, frame, noises)
         self._hypotheses = _pruned(_sorted(_joined(_sorted(grown))), self.most)
         self.frame_revisions = _revisions(before, self._first.past, self._begun)
+        if len(self._hypotheses) == 1:  # nothing that was told will be told otherwise any more
+            self._first.past, self._begun = [], self.frames_taken
 
     def _answers(self, frame: Sightings, noises: np.ndarray) -> list[tuple[Hypothesis, list[Option]]]:
         """Each explanation with its answers to a frame that are worth carrying out, over all of them."""

@@ -171,6 +171,8 @@ def _check(state: _State) -> None:
         raise ValueError("a particle's map is not there")
     if not np.isfinite(cloud.log_weights.max()) or np.isnan(cloud.log_weights).any():
         raise ValueError("its particles have no weight")
+    if not 0 <= state.best < number:
+        raise ValueError("its heaviest particle is not there")
     way, rates = state.way, state.rates
     check_arrays((way.reference, (biases,), "f"), (way.covariance, (biases, biases), "f"))
     if (way.belief.n, way.belief.robot) != (3 + biases, 3 + biases):
@@ -194,6 +196,5 @@ def _rebuilt(kind: type[FiniteSetSlam], state: _State, detector: Detector | None
     slam._numbers, slam._count = state.numbers, state.count
     slam._time, slam._moved = float.fromhex(state.time), state.moved
     slam.frames_taken, slam.step_number = state.frames, state.step_number
-    slam._best = min(max(state.best, 0), len(particles.poses) - 1)
-    slam.resampled, slam.recovered = state.resampled, state.recovered
+    slam._best, slam.resampled, slam.recovered = state.best, state.resampled, state.recovered
     return slam
