@@ -15,11 +15,12 @@ def cuts(saved: bytes, step: int) -> list[int]:
 
 
 def refused(load: Callable[[Path], object], path: Path) -> bool:
-    """Whether loading raises LogError that names the file."""
+    """Whether loading raises LogError, which must name the file."""
     try:
         load(path)
     except LogError as problem:
-        return problem.file == path
+        assert problem.file == path
+        return True
     return False
 
 

@@ -152,7 +152,11 @@ def parts_of(saved: bytes, path) -> tuple[dict, dict]:
 CLOUD = ("poses", "biases", "log_weights", "slots", "blocks", "counts", "left")
 
 
-@pytest.mark.parametrize("change", [lambda a: a[:-1], lambda a: a.astype("U4"), lambda a: a[None]], ids=str)
+@pytest.mark.parametrize(
+    "change",
+    [lambda a: a[:-1], lambda a: a.astype("U4"), lambda a: a[None]],
+    ids=["a row too few", "texts", "another shape"],
+)
 @pytest.mark.parametrize("part", CLOUD)
 def test_arrays_that_do_not_fit_are_refused(saved, tmp_path, part, change):
     """Oracle: LogError naming the file: one row too few, texts, another shape."""
