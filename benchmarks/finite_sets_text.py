@@ -10,6 +10,7 @@ import report
 from finite_sets_cases import CAR_PARK, CLUTTERED, LIMIT, PLAIN, Job, Record
 
 Column = tuple[str, str, str]  # title, key, format
+Bar = tuple[str, str, str, str, str]  # what, asked, published, got, whether it is reached
 
 NEES = "nees"  # one decimal, or as a power where it is beyond all sense
 TIME: Column = ("CPU ms a frame", "cpu_ms", ".3f")
@@ -253,75 +254,116 @@ def slopes_section(records: Sequence[Record]) -> str:
 # --- asked, published, got ------------------------------------------------------------------------------------------
 
 
-def bars(records: Sequence[Record]) -> list[tuple[str, str, str, str, str]]:
-    """(what, asked, published, got, whether it is reached)."""
-    found: list[tuple[str, str, str, str, str]] = []
+def _bar(what: str, asked: str, published: str, got: str, met: bool) -> Bar:
+    return what, asked, published, got, "yes" if met else "no"
 
-    def add(what: str, asked: str, published: str, got: str, met: bool) -> None:
-        found.append((what, asked, published, got, "yes" if met else "no"))
 
-    clutter = {row["method"]: row for row in rows_of(records, "clutter") if row["runs"]}
+def _finished(records: Sequence[Record], part: str, where: str | None = None) -> dict[str, Record]:
+    """The rows of the methods with a run that went well, by method."""
+    return {row["method"]: row for row in rows_of(records, part, where) if row["runs"]}
+
+
+def clutter_bars(records: Sequence[Record]) -> list[Bar]:
+    """The filters with identities against the density."""
+    found, clutter = [], _finished(records, "clutter")
     for name in ("pmb", "pmbm"):
         if name in clutter and "rb-phd" in clutter:
             mine, other = clutter[name], clutter["rb-phd"]
             keys = (("position_rmse_m", "m"), ("ospa_m", "m OSPA"), ("off", "features off"))
             told = [f"{mine[key]:.2f} against {other[key]:.2f} {unit}" for key, unit in keys]
-            add(f"clutter-20-70: {name} leads rb-phd", "leads", "-", ", ".join(told),
-                all(mine[key] < other[key] for key, _ in keys))  # fmt: skip
-    field = {row["method"]: row for row in rows_of(records, "field") if row["runs"]}
+            leads = all(mine[key] < other[key] for key, _ in keys)
+            found.append(_bar(f"clutter-20-70: {name} leads rb-phd", "leads", "-", ", ".join(told), leads))
+    return found
+
+
+def field_bars(records: Sequence[Record]) -> list[Bar]:
+    """PHD-SLAM 3.0's figures and its time, with the limit before them."""
+    found, field = [], _finished(records, "field")
+
+    def got(row: Record) -> str:
+        return f"{row['position_rmse_m']:.2f} m, {row['gospa_m']:.1f} GOSPA, seeds: {row['runs']}"
+
     if LIMIT in field:
-        row = field[LIMIT]
-        got = f"{row['position_rmse_m']:.2f} m, {row['gospa_m']:.1f} GOSPA, seeds: {row['runs']}"
-        found.append((f"field-160: {LIMIT}, the limit", "-", "-", got, "-"))
+        found.append((f"field-160: {LIMIT}, the limit", "-", "-", got(field[LIMIT]), "-"))
     for number, (metres, _, gospa) in PUBLISHED_FIELD.items():
         for name in ("pmb", "rb-phd", "srckf-phd", "mh-fastslam", "pmbm"):
             row = field.get(f"{name}, {number}")
             if row:
-                add(f"field-160: {name}, {number}", f"below {metres} m and {gospa}", f"{metres} m, {gospa} GOSPA",
-                    f"{row['position_rmse_m']:.2f} m, {row['gospa_m']:.1f} GOSPA, seeds: {row['runs']}",
-                    row["position_rmse_m"] < metres and row["gospa_m"] < gospa)  # fmt: skip
+                met = row["position_rmse_m"] < metres and row["gospa_m"] < gospa
+                asked, published = f"below {metres} m and {gospa}", f"{metres} m, {gospa} GOSPA"
+                found.append(_bar(f"field-160: {name}, {number}", asked, published, got(row), met))
     for name in (*cases.PARTICLES, "pmbm"):
         row = field.get(f"{name}, 10")
         if row:
-            add(f"field-160: time of {name}, 10", f"{FIELD_MS:g} ms a step", "80 ms",
-                f"{row['cpu_ms']:.2f} ms", row["cpu_ms"] <= FIELD_MS)  # fmt: skip
+            told, met = f"{row['cpu_ms']:.2f} ms", row["cpu_ms"] <= FIELD_MS
+            found.append(
+                _bar(f"field-160: time of {name}, 10", f"{FIELD_MS:g} ms a step", "80 ms", told, met)
+            )
+    return found
+
+
+def rfs_bars(records: Sequence[Record]) -> list[Bar]:
+    """RFS-SLAM's time, and its order of the methods where nothing is in doubt."""
+    found = []
     for where in cases.RFS:
-        rows = {row["method"]: row for row in rows_of(records, "rfs", where) if row["runs"]}
+        rows = _finished(records, "rfs", where)
         for name, row in rows.items():
             if name != "pmbm":
-                add(f"{where}: time of {name}", f"{RFS_US:.1f} us a particle and step", "62 us",
-                    f"{row['particle_us']:.1f} us", row["particle_us"] <= RFS_US)  # fmt: skip
+                asked, told = f"{RFS_US:.1f} us a particle and step", f"{row['particle_us']:.1f} us"
+                met = row["particle_us"] <= RFS_US
+                found.append(_bar(f"{where}: time of {name}", asked, "62 us", told, met))
         rival = rows.get("mh-fastslam")
         for name, row in rows.items():
             if rival and where == "rfs-99-0" and name != "mh-fastslam":
                 mine, other = row["position_mean_m"], rival["position_mean_m"]
-                add(f"{where}: {name} not worse than mh-fastslam", "not worse", "rb-phd .082 to .040 m",
-                    f"{mine:.3f} against {other:.3f} m", mine <= other)  # fmt: skip
+                told = f"{mine:.3f} against {other:.3f} m"
+                what = f"{where}: {name} not worse than mh-fastslam"
+                found.append(_bar(what, "not worse", "rb-phd .082 to .040 m", told, mine <= other))
+    return found
+
+
+def park_bars(records: Sequence[Record]) -> list[Bar]:
+    """Victoria Park, as it is and with clutter."""
+    found = []
     for where in (PLAIN, CLUTTERED):
-        for row in rows_of(records, "logs", where):
-            if row["runs"]:
-                add(f"{where}: {row['method']}", "2.5 m, 250 to 350 landmarks, 20 times real time",
-                    "2.46 m; PHD-SLAM 3.0 3.36 m", f"{row['path_m']:.2f} m, {row['landmarks']:.0f}, "
-                    f"{row['faster']:.0f} times", park_misses(row) == ["nothing"])  # fmt: skip
-    car = {row["method"]: row for row in rows_of(records, "logs", CAR_PARK) if row["runs"]}
+        for name, row in _finished(records, "logs", where).items():
+            asked = "2.5 m, 250 to 350 landmarks, 20 times real time"
+            published = "2.46 m; PHD-SLAM 3.0 3.36 m"
+            met = park_misses(row) == ["nothing"]
+            told = f"{row['path_m']:.2f} m, {row['landmarks']:.0f}, {row['faster']:.0f} times"
+            found.append(_bar(f"{where}: {name}", asked, published, told, met))
+    return found
+
+
+def car_bars(records: Sequence[Record]) -> list[Bar]:
+    """The car park, and its two densities side by side."""
+    found, car = [], _finished(records, "logs", CAR_PARK)
     for name, row in car.items():
-        add(f"car park: {name}", "0.6 m, 14 to 16 poles", "-",
-            f"{row['path_m']:.3f} m; {row['right']:.0f} of {row['runs']} runs with 14 to 16 poles",
-            row["path_m"] <= CAR_M and row["right"] == row["runs"])  # fmt: skip
+        told = f"{row['path_m']:.3f} m; {row['right']:.0f} of {row['runs']} runs with 14 to 16 poles"
+        met = row["path_m"] <= CAR_M and row["right"] == row["runs"]
+        found.append(_bar(f"car park: {name}", "0.6 m, 14 to 16 poles", "-", told, met))
     if "srckf-phd" in car and "rb-phd" in car:
         mine, other = car["srckf-phd"]["path_m"], car["rb-phd"]["path_m"]
-        add(
-            "car park: srckf-phd below rb-phd",
-            "below",
-            "below",
-            f"{mine:.3f} against {other:.3f} m",
-            mine < other,
-        )
+        told = f"{mine:.3f} against {other:.3f} m"
+        found.append(_bar("car park: srckf-phd below rb-phd", "below", "below", told, mine < other))
+    return found
+
+
+def slope_bars(records: Sequence[Record]) -> list[Bar]:
+    """Time against what grows."""
+    found = []
     for fit in slopes_of(records):
         told = f"slope {fit['slope']:.2f}, upper half {fit['upper']:.2f}"
         linear = max(fit["slope"], fit["upper"]) <= LINEAR
-        add(f"time of {fit['method']} against {fit['what']}", "linear (slope 1)", "-", told, linear)
+        what = f"time of {fit['method']} against {fit['what']}"
+        found.append(_bar(what, "linear (slope 1)", "-", told, linear))
     return found
+
+
+def bars(records: Sequence[Record]) -> list[Bar]:
+    """All that is asked, in the order of the page's table."""
+    parts = (clutter_bars, field_bars, rfs_bars, park_bars, car_bars, slope_bars)
+    return [bar for part in parts for bar in part(records)]
 
 
 def missing_text(missing: Sequence[Job]) -> str:

@@ -9,9 +9,7 @@ import finite_sets as plain
 from finite_sets import Scene, matchings, random_scene, rules_of
 from kalmap.kernels import set_layout as sets
 from kalmap.kernels.bernoulli import bernoulli_update
-from test_phd_kernel import ROOT, run_of_frames
-
-BARE = {"BIRTH": 0.0, "PRUNE": 1e-250}
+from set_problems import BARE, ROOT, run_of_frames
 
 
 def by_hypotheses(scene: Scene) -> tuple[float, list[np.ndarray], np.ndarray]:
@@ -144,7 +142,8 @@ def test_no_landmark_and_what_is_founded():
 @pytest.mark.parametrize("existence", [1e-9, 0.5, 1.0 - 1e-12, 1.0])
 def test_certain_landmarks_and_certain_detection(seen, existence):
     """Oracle: every number finite; a landmark stays as it is that cannot be seen, exists if it is sighted, and is
-    gone if one that could not be missed is missed; unless it exists for sure."""
+    gone if one that could not be missed is missed; unless it exists for sure: r (1 - P_D) / (1 - r P_D) of the missed
+    one, and of the sighted one with the odds of its pair r P_D g to (1 - r P_D) c."""
     rows = np.array(
         [
             plain.component(existence, place, 0.01 * np.eye(2), k)
@@ -164,10 +163,17 @@ def test_certain_landmarks_and_certain_detection(seen, existence):
     elif seen > 0.5 and existence == 0.5:
         assert after[0, 0] > 0.99
         assert after[1, 0] < 1e-4
-    elif existence == 1.0:
-        # nothing is believed beyond 1 - 1e-6, so that misses in a row can still undo it
-        assert after[0, 0] == sets.SUREST
-        assert after[1, 0] <= sets.SUREST
+    if seen >= 1e-6:
+        # nothing is sighted more surely than 1 - 1e-6 and nothing believed beyond it: misses in a row can undo it
+        share = min(seen, 1.0 - 1e-6)
+        missed = existence * (1.0 - share) / (1.0 - existence * share)
+        own = existence * share * scene.densities(scene.looks())[0, 0]
+        own /= own + rules[sets.CLUTTER] * (1.0 - existence * share)
+        sighted = own + (1.0 - own) * missed
+        np.testing.assert_allclose(after[1, 0], min(missed, sets.SUREST), rtol=1e-9)
+        np.testing.assert_allclose(after[0, 0], min(sighted, sets.SUREST), rtol=1e-9)
+        if existence == 1.0:
+            assert (after[:, 0] == sets.SUREST).all()
 
 
 def test_tallies_of_the_rings():
@@ -192,10 +198,14 @@ def test_tallies_of_the_rings():
 
 def test_random_frames_never_break_a_map():
     """Oracle: weights finite, factors factors."""
-    run_of_frames(bernoulli_update, 20_000, 65)
+    updates, least = run_of_frames(bernoulli_update, 20_000, 65)
+    assert updates >= 20_000
+    assert 0.0 < least < np.inf
 
 
 @pytest.mark.slow
 def test_a_million_updates_never_break_a_map():
     """Oracle: as above."""
-    run_of_frames(bernoulli_update, 1_000_000, 66)
+    updates, least = run_of_frames(bernoulli_update, 1_000_000, 66)
+    assert updates >= 1_000_000
+    assert 0.0 < least < np.inf

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from damage import cuts, flipped, refused_cuts
 from kalmap.association import (
     Attribute,
     Counter,
@@ -161,28 +162,16 @@ def saved(tmp_path_factory) -> bytes:
 
 def test_truncated_files_are_refused(saved, tmp_path):
     """Oracle: LogError naming the file, wherever it was cut."""
-    path = tmp_path / "filter"
-    for length in [0, 1, 3, 30, *range(100, len(saved), 97), len(saved) - 1]:
-        path.write_bytes(saved[:length])
-        with pytest.raises(LogError) as caught:
-            LandmarkSlam.load(path)
-        assert caught.value.file == path
+    lengths = cuts(saved, 97)
+    assert refused_cuts(saved, tmp_path / "filter", LandmarkSlam.load, lengths) == lengths
 
 
 def test_flipped_bytes_are_refused_or_harmless(saved, tmp_path):
     """Oracle: LogError, or exactly the state that was saved (a byte that means nothing)."""
-    path = tmp_path / "filter"
-    path.write_bytes(saved)
-    good = state_of(LandmarkSlam.load(path))
-    for position in range(0, len(saved), 5):
-        broken = bytearray(saved)
-        broken[position] ^= 0xFF
-        path.write_bytes(bytes(broken))
-        try:
-            state = state_of(LandmarkSlam.load(path))
-        except LogError:
-            continue
-        assert state == good, position
+    flips = flipped(saved, tmp_path / "filter", lambda path: state_of(LandmarkSlam.load(path)), 5)
+    assert flips.believed == []
+    assert len(flips.refused) + len(flips.harmless) == len(range(0, len(saved), 5))
+    assert len(flips.refused) > len(flips.harmless)
 
 
 def rewrite(saved: bytes, path, header=None, **arrays) -> None:

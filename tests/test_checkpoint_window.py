@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import msgspec
 import numpy as np
 import pytest
 
+import damage
 from kalmap.association import Attribute, Counter, Existence, Keep, KnownIds, Mda, Merging, Nearest, Trial
 from kalmap.models import VelocitySteering
-from kalmap.records import LogError, Odometry, Scan
+from kalmap.records import Odometry, Scan
 from kalmap.slam import LandmarkSlam, run
 from slam_problems import STEERING_BIASES, feed, log_of, state_of
 from test_checkpoint import rewrite
@@ -149,35 +151,26 @@ def saved(tmp_path_factory) -> bytes:
     return path.read_bytes()
 
 
-def refused(path) -> bool:
-    try:
-        LandmarkSlam.load(path)
-    except LogError as problem:
-        assert problem.file == path
-        return True
-    return False
+refused = partial(damage.refused, LandmarkSlam.load)
 
 
 def test_truncated_files_are_refused(saved, tmp_path):
     """Oracle: LogError naming the file, wherever it was cut."""
-    path = tmp_path / "filter"
-    for length in range(0, len(saved), 331):
-        path.write_bytes(saved[:length])
-        assert refused(path), length
+    lengths = list(range(0, len(saved), 331))
+    assert damage.refused_cuts(saved, tmp_path / "filter", LandmarkSlam.load, lengths) == lengths
 
 
 def test_flipped_bytes_are_refused_or_harmless(saved, tmp_path):
     """Oracle: LogError, or exactly what was saved (a byte that means nothing)."""
-    path = tmp_path / "filter"
-    path.write_bytes(saved)
-    good = LandmarkSlam.load(path)
-    for position in range(0, len(saved), 211):
-        broken = bytearray(saved)
-        broken[position] ^= 0xFF
-        path.write_bytes(bytes(broken))
-        if not refused(path):
-            loaded = LandmarkSlam.load(path)
-            assert state_of(loaded) == state_of(good) and waiting_of(loaded) == waiting_of(good), position
+
+    def state(path) -> tuple:
+        slam = LandmarkSlam.load(path)
+        return state_of(slam), waiting_of(slam)
+
+    flips = damage.flipped(saved, tmp_path / "filter", state, 211)
+    assert flips.believed == []
+    assert len(flips.refused) + len(flips.harmless) == len(range(0, len(saved), 211))
+    assert len(flips.refused) > len(flips.harmless)
 
 
 def test_every_array_must_fit(saved, tmp_path):

@@ -326,9 +326,10 @@ def test_a_mode_is_where_the_draws_are():
     assert scene.setup[layout.RULE] == layout.JACOBIAN
 
 
-def run_of_proposals(count: int, seed: int) -> None:
-    """Random maps, motions and sensors, sightings of the map and of anything."""
-    rng = np.random.default_rng(seed)
+def run_of_proposals(count: int, seed: int) -> np.ndarray:
+    """(count, 4): pose and log weight proposed with random maps, motions and sensors, sightings of the map and of
+    anything."""
+    rng, drawn = np.random.default_rng(seed), []
     for _ in range(count):
         root = ROOTS[str(rng.choice(list(ROOTS)))] * 10.0 ** rng.uniform(-3, 1)
         rules = rules_of(CLUTTER=10.0 ** rng.uniform(-7, 0), GATE=rng.choice([12.0, 40.0]))
@@ -345,14 +346,22 @@ def run_of_proposals(count: int, seed: int) -> None:
         assert -np.pi <= out[2] < np.pi
         assert np.isfinite(log_weight)
         assert np.isfinite(left).all()
+        drawn.append([*out, log_weight])
+    return np.array(drawn)
 
 
 def test_random_proposals_are_numbers():
     """Oracle: pose, weight and covariance finite."""
-    run_of_proposals(500, 80)
+    drawn = run_of_proposals(500, 80)
+    assert drawn.shape == (500, 4)
+    assert np.isfinite(drawn).all()
+    assert (drawn[:, 3] != 0.0).sum() > 250  # more than half are not the motion model's
 
 
 @pytest.mark.slow
 def test_many_random_proposals_are_numbers():
     """Oracle: as above."""
-    run_of_proposals(50_000, 84)
+    drawn = run_of_proposals(50_000, 84)
+    assert drawn.shape == (50_000, 4)
+    assert np.isfinite(drawn).all()
+    assert (drawn[:, 3] != 0.0).sum() > 25_000

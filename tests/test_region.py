@@ -30,8 +30,9 @@ def scattered(rng, count: int, robot: int = 3, width: float = 60.0) -> Belief:
     return belief_of(mean, np.eye(len(mean)), robot)
 
 
-def look(rng, belief: Belief, index: LandmarkIndex) -> None:
-    """Ask for a random region, and for the strange ones, and compare."""
+def look(rng, belief: Belief, index: LandmarkIndex) -> list[int]:
+    """Ask for a random region, and for the strange ones, and compare: how many landmarks are in each of the six."""
+    sizes = []
     sensor = (*rng.uniform(-70, 70, 2).tolist(), float(rng.uniform(-np.pi, np.pi)))
     for reach, front in (
         (rng.uniform(0.1, 40), rng.uniform(-10, 5)),
@@ -44,6 +45,8 @@ def look(rng, belief: Belief, index: LandmarkIndex) -> None:
         got = index.within(belief, sensor, reach, front)
         assert got.dtype == np.int64
         assert got.tolist() == brute(belief, sensor, reach, front)
+        sizes.append(len(got))
+    return sizes
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -53,6 +56,7 @@ def test_index_equals_brute_force_whatever_happens_to_the_map(seed, robot):
     without filing again) and removing."""
     rng = np.random.default_rng(seed)
     belief, index = scattered(rng, int(rng.integers(0, 200)), robot), LandmarkIndex()
+    found = np.zeros(6, int)
     for _ in range(60):
         what, count = rng.integers(4), (belief.n - robot) // 2
         if what == 0:
@@ -68,7 +72,11 @@ def test_index_equals_brute_force_whatever_happens_to_the_map(seed, robot):
             for first in sorted(rng.choice(count, min(count, 3), replace=False).tolist(), reverse=True):
                 belief.remove(robot + 2 * first, 2)
                 index.removed(first)
-        look(rng, belief, index)
+        sizes = look(rng, belief, index)
+        every = (belief.n - robot) // 2
+        assert sizes[3:] == [every, every, 0]  # without limit, very far, and no reach at all
+        found += sizes
+    assert (found[:3] > 0).all() and (found[:3] < found[3]).all()
 
 
 @pytest.mark.parametrize("towards", [(1, 0), (-1, 0), (0, 1), (0, -1)])
@@ -90,14 +98,14 @@ def test_removal_at_the_border_of_what_is_filed(gone):
     """Oracle: brute force; a hundred landmarks filed, five founded since, one gone."""
     rng = np.random.default_rng(1)
     belief, index = scattered(rng, 100), LandmarkIndex()
-    look(rng, belief, index)
+    assert look(rng, belief, index)[3] == 100
     twin = scattered(rng, 105)
     twin.mean[: belief.n] = belief.mean[: belief.n]
-    look(rng, twin, index)
+    assert look(rng, twin, index)[3] == 105
     twin.remove(3 + 2 * gone, 2)
     index.removed(gone)
     for _ in range(5):
-        look(rng, twin, index)
+        assert look(rng, twin, index)[3] == 104
 
 
 def test_empty_map():

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from damage import cuts, flipped, refused_cuts
 from kalmap.models import RangeBearing, VelocitySteering
 from kalmap.records import ConfigError, FiniteSetConfig, LogError
 from kalmap.slam import LandmarkSlam
@@ -128,28 +129,16 @@ def saved(tmp_path_factory) -> bytes:
 
 def test_truncated_files_are_refused(saved, tmp_path):
     """Oracle: LogError naming the file, wherever it was cut."""
-    path = tmp_path / "filter"
-    for length in [0, 1, 3, 30, *range(100, len(saved), 397), len(saved) - 1]:
-        path.write_bytes(saved[:length])
-        with pytest.raises(LogError) as caught:
-            FiniteSetSlam.load(path)
-        assert caught.value.file == path
+    lengths = cuts(saved, 397)
+    assert refused_cuts(saved, tmp_path / "filter", FiniteSetSlam.load, lengths) == lengths
 
 
 def test_flipped_bytes_are_refused_or_harmless(saved, tmp_path):
     """Oracle: LogError, or exactly the state that was saved (a byte that means nothing)."""
-    path = tmp_path / "filter"
-    path.write_bytes(saved)
-    good = set_state_of(FiniteSetSlam.load(path))
-    for position in range(0, len(saved), 23):
-        broken = bytearray(saved)
-        broken[position] ^= 0xFF
-        path.write_bytes(bytes(broken))
-        try:
-            state = set_state_of(FiniteSetSlam.load(path))
-        except LogError:
-            continue
-        assert state == good, position
+    flips = flipped(saved, tmp_path / "filter", lambda path: set_state_of(FiniteSetSlam.load(path)), 23)
+    assert flips.believed == []
+    assert len(flips.refused) + len(flips.harmless) == len(range(0, len(saved), 23))
+    assert len(flips.refused) > len(flips.harmless)
 
 
 def parts_of(saved: bytes, path) -> tuple[dict, dict]:
@@ -163,7 +152,11 @@ def parts_of(saved: bytes, path) -> tuple[dict, dict]:
 CLOUD = ("poses", "biases", "log_weights", "slots", "blocks", "counts", "left")
 
 
-@pytest.mark.parametrize("change", [lambda a: a[:-1], lambda a: a.astype("U4"), lambda a: a[None]], ids=str)
+@pytest.mark.parametrize(
+    "change",
+    [lambda a: a[:-1], lambda a: a.astype("U4"), lambda a: a[None]],
+    ids=["a row too few", "texts", "another shape"],
+)
 @pytest.mark.parametrize("part", CLOUD)
 def test_arrays_that_do_not_fit_are_refused(saved, tmp_path, part, change):
     """Oracle: LogError naming the file: one row too few, texts, another shape."""

@@ -124,7 +124,9 @@ def test_clutter_alone_is_no_map(method):
 def test_a_thousand_sightings_in_a_frame(method):
     """Oracle: finite numbers; three times, so that the map of the first is looked for in the others."""
     rng = np.random.default_rng(9)
-    ran(method, driven([uniform(rng, 1000) for _ in range(3)]), particles=2)
+    outcome = ran(method, driven([uniform(rng, 1000) for _ in range(3)]), particles=2)
+    assert finite(outcome) and psd(outcome.estimate.covariance)
+    assert (outcome.frames, outcome.sightings) == (3, 3000)
 
 
 @pytest.mark.parametrize("estimate", [True, False])
@@ -161,7 +163,9 @@ def test_settings_at_their_ends(method, settings, estimate):
         else event
         for event in circle_events(5, frames=24)
     ]
-    ran(method, events, **settings, estimate=estimate)
+    outcome = ran(method, events, **settings, estimate=estimate)
+    assert finite(outcome) and psd(outcome.estimate.covariance)
+    assert outcome.frames == 24 and outcome.recovered == (0 if method in SETS else None)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +201,9 @@ def test_settings_without_a_meaning_are_refused(settings):
 )
 def test_sightings_at_the_edges(method, z):
     """Oracle: finite numbers: at the sensor itself, at and far beyond its reach, beside and behind it."""
-    ran(method, driven([[z], [z, [7.0, 0.2]], [z], [[7.0, 0.2]]] * 3))
+    outcome = ran(method, driven([[z], [z, [7.0, 0.2]], [z], [[7.0, 0.2]]] * 3))
+    assert finite(outcome) and psd(outcome.estimate.covariance)
+    assert (outcome.frames, outcome.sightings) == (12, 15)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -205,7 +211,9 @@ def test_a_sensor_that_sees_all_around(method):
     """Oracle: finite numbers, with a field of view of 360 degrees."""
     rng = np.random.default_rng(2)
     sensor = SensorConfig(max_range=REACH, field_of_view_deg=360.0)
-    ran(method, driven([uniform(rng, 5) * [1.0, 2.0] for _ in range(12)]), sensor=sensor)
+    outcome = ran(method, driven([uniform(rng, 5) * [1.0, 2.0] for _ in range(12)]), sensor=sensor)
+    assert finite(outcome) and psd(outcome.estimate.covariance)
+    assert (outcome.frames, outcome.sightings) == (12, 60)
 
 
 @pytest.mark.parametrize("method", SETS)

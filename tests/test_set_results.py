@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kalmap.evaluation import evaluate, gospa, ospa, set_cutoffs
+from kalmap.kernels import set_layout as sets
 from kalmap.records import ConfigError, FilterConfig, FiniteSetConfig, RunConfig
 from kalmap.simulate import simulate, world_by_name
 from kalmap.slam import run, slam_from_config
@@ -27,10 +28,11 @@ def short_world(**fields):
 
 @pytest.fixture(scope="module")
 def short():
-    """A log of 73 looks, the settings of a PHD filter on it, and what the run came to."""
+    """A log of 73 looks, the settings of a PHD filter on it, the filter after it, and what the run came to."""
     log = simulate(short_world(), 3)
     config = parse_method("rb-phd", finite_set=log.defaults.finite_set).on(log.defaults)
-    return log, config, run(slam_from_config(config, log), log)
+    slam = slam_from_config(config, log)
+    return log, config, slam, run(slam, log)
 
 
 def with_map(estimate, positions):
@@ -157,7 +159,7 @@ def test_a_course_never_grows_long(frames, kept):
 
 def test_a_course_is_judged_by_what_was_in_view(short):
     """Oracle: the range and half plane of every look, by hand; the last map's distance, by itself."""
-    log, config, outcome = short
+    log, config, _, outcome = short
     judged = judge_course(outcome, log, config)
     truth = log.references[0]
     looks = np.searchsorted(truth.times, judged.times + 1e-9) - 1
@@ -182,12 +184,22 @@ def test_a_course_is_judged_by_what_was_in_view(short):
 
 
 def test_the_mixture_is_the_last_map(short):
-    _, config, outcome = short
+    """Oracle: the rule, by the filter's own rows: landmarks are the components of a feature's weight, and of those
+    that were sighted three times the ones that one miss at the largest P_D took below it."""
+    _, config, slam, outcome = short
     mixture, landmarks = outcome.course.mixture, outcome.estimate.landmarks
     means, places = (set(map(tuple, points)) for points in (mixture.means, landmarks.positions))
     assert len(places) == len(landmarks) and places <= means
     heavy = mixture.means[mixture.weights >= config.finite_set.feature]
     assert set(map(tuple, heavy)) <= places  # and beside them those that were missed lately
+    rows = slam.map()
+    np.testing.assert_array_equal(rows[:, sets.WEIGHT], mixture.weights)
+    feature, detection = config.finite_set.feature, slam.rates.profile.max()
+    light, known = mixture.weights < feature, rows[:, sets.SEEN] >= 3.0
+    forgiven = light & known & (mixture.weights >= feature * (1.0 - detection) ** config.finite_set.forgive)
+    assert len(landmarks) == len(heavy) + forgiven.sum()
+    assert places - set(map(tuple, heavy)) == set(map(tuple, mixture.means[forgiven]))
+    assert forgiven.any() and (light & known & ~forgiven).any()
     assert np.linalg.eigvalsh(mixture.covariances).min() > 0.0
 
 
