@@ -24,13 +24,14 @@ from kalmap.association.management import BuiltInManagement, Existence
 from kalmap.geometry.angles import wrap
 from kalmap.kernels import nearest as kernel
 from kalmap.kernels.hypothesis_search import frame_hypotheses, view_shares
+from kalmap.kernels.set_layout import SUREST
 from kalmap.records import Association, Reason, Sightings
 
 _FRAMES = 20.0  # that the stated rate of false sightings counts for
 _LEAST = 1e-3  # false sightings a frame
 _WIDE = 4.0  # det S / det R from which what a pair tells is worth a hypothesis of its own
 _SLIGHT = 0.01  # share of the likeliest below which an option is left out
-_SUREST = 1.0 - 1e-6
+
 _MOST = 12.0  # ln odds beyond which existence is not believed or doubted further
 _BELIEVED = 0.0  # least ln odds of a landmark that the management believes: misses in a row have one cause
 _RINGS = 6
@@ -266,7 +267,7 @@ class Pmb(Gated, frozen=True, kw_only=True, tag=True):
         learnt = np.array([seen / looked for seen, looked in memory["detected"]])
         rings = (expected.z[:, 0] / reach * _RINGS).astype(np.int64)
         detection *= np.clip(learnt, *_DETECTION)[np.minimum(rings, _RINGS - 1)]
-        detection = np.clip(detection, 1.0 - _SUREST, _SUREST)
+        detection = np.clip(detection, 1.0 - SUREST, SUREST)
         odds = np.array([memory["odds"][i] for i in expected.indices.tolist()])
         seen = detection * np.asarray(probability(odds))
         missed = 1.0 - seen

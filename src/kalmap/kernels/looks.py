@@ -39,6 +39,7 @@ from kalmap.kernels.set_layout import (
     NORM,
     RANGE,
     RINGS,
+    SUREST,
     U11,
     U21,
     U22,
@@ -50,7 +51,7 @@ from kalmap.kernels.set_layout import (
 )
 
 _SURE = 6.0  # standard deviations from an edge beyond which it is not felt
-_SUREST = 1.0 - 1e-6  # no thing is sighted more surely: a miss must leave it a weight
+
 _TWO_PI = 2.0 * math.pi
 
 
@@ -257,7 +258,7 @@ def detection(rules, profile, beams, row):
     share *= profile[low] + (at - low) * (profile[high] - profile[low])
     if len(beams) and _hidden(rules, beams, distance, bearing):
         return 0.0
-    return min(share, _SUREST)
+    return min(share, SUREST)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
