@@ -17,7 +17,16 @@ import numpy as np
 
 from kalmap.data.files import json_text, write_atomically
 from kalmap.data.native_map import map_bytes
-from kalmap.records import Estimate, EstimationError, KalmapError, Landmarks, LogError, Manifest, Trace
+from kalmap.records import (
+    Estimate,
+    EstimationError,
+    KalmapError,
+    Landmarks,
+    LogError,
+    Manifest,
+    Trace,
+    Trajectory,
+)
 
 MANIFEST = "manifest.json"
 METRICS = "metrics.json"
@@ -30,14 +39,6 @@ MAP = "map.kalmap"
 _TRAJECTORY_COLUMNS = ("time", "x", "y", "heading", "p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
 _LANDMARK_COLUMNS = ("id", "x", "y", "p_xx", "p_xy", "p_yy", "sightings", "existence")
 _UPPER_3 = np.triu_indices(3)
-
-
-class Trajectory(msgspec.Struct, frozen=True):
-    """A trajectory read back: times (F,) s, poses (F, 3) x m, y m, heading rad, covariances (F, 3, 3)."""
-
-    times: np.ndarray
-    poses: np.ndarray
-    covariances: np.ndarray
 
 
 def write_result(

@@ -3,6 +3,7 @@
 from kalmap.records.config import (
     AssociationConfig,
     AttributeConfig,
+    ContourConfig,
     FilterConfig,
     FiniteSetConfig,
     MotionConfig,
@@ -10,11 +11,12 @@ from kalmap.records.config import (
     RunConfig,
     SensorConfig,
 )
+from kalmap.records.contours import Contours, Sweeps, Trajectory
 from kalmap.records.decisions import REASONS, Frame, Managed, Reason, Why
 from kalmap.records.errors import ConfigError, EstimationError, EventError, KalmapError, LogError
 from kalmap.records.estimate import NEW, SPURIOUS, Association, Estimate, Landmarks, Manifest, Trace
 from kalmap.records.events import Event, Fix, Odometry, Scan, Sightings
-from kalmap.records.log import Log, Reference, SightingTruth, Skipped
+from kalmap.records.log import Log, Reference, Relations, SightingTruth, Skipped
 
 __all__ = [
     "NEW",
@@ -24,6 +26,8 @@ __all__ = [
     "AssociationConfig",
     "AttributeConfig",
     "ConfigError",
+    "ContourConfig",
+    "Contours",
     "Estimate",
     "EstimationError",
     "Event",
@@ -43,12 +47,15 @@ __all__ = [
     "PerceptionConfig",
     "Reason",
     "Reference",
+    "Relations",
     "RunConfig",
     "Scan",
     "SensorConfig",
     "SightingTruth",
     "Sightings",
     "Skipped",
+    "Sweeps",
     "Trace",
+    "Trajectory",
     "Why",
 ]

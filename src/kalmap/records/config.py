@@ -241,6 +241,27 @@ class FiniteSetConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     occlusion: Positive = 1.0
 
 
+ContourMethod = Literal["slasem", "dc-slasem"]
+
+
+class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Mapping from raw scans by sampled contours (Sun et al. 2010), for logs that hold scans.
+
+    method: "slasem" keeps one map, "dc-slasem" closes local maps and joins them, loops included. None: the log's
+        landmarks are mapped instead.
+    update_distance, update_angle_deg: m and deg, how far the vehicle moves between two scans that are used.
+    close_samples, close_distance: a local map is closed when it holds so many samples, or after so many metres.
+    spacing: m between samples on a straight contour; it shrinks with curvature.
+    """
+
+    method: ContourMethod | None = None
+    update_distance: Positive = 0.1
+    update_angle_deg: Positive = 10.0
+    close_samples: Annotated[int, msgspec.Meta(ge=20, le=5_000)] = 300
+    close_distance: Positive = 15.0
+    spacing: Positive = 0.3
+
+
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a run depends on, beside the log itself."""
 
@@ -250,6 +271,7 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     association: AssociationConfig = AssociationConfig()
     perception: PerceptionConfig = PerceptionConfig()
     finite_set: FiniteSetConfig = FiniteSetConfig()
+    contour: ContourConfig = ContourConfig()
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
     tolerant: bool = False
 

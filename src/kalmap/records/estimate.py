@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from kalmap.records.contours import Contours, Sweeps, Trajectory
 from kalmap.records.decisions import Why
 
 
@@ -38,6 +39,9 @@ class Estimate(msgspec.Struct, frozen=True):
     joint: returns mean (n,) and covariance (n, n) of pose, biases and landmarks, in this order. A
         snapshot too: asked for after the estimator has moved on, it raises `EstimationError`.
     coordinates: "additive" or "invariant": the error that the covariance is consistent in.
+    contours: the map of an estimator that maps contours from scans; None for one of landmarks.
+    trajectory: the whole drive as it is seen now, loops closed, for every scan or frame; None where none is kept.
+    sweeps: the scans that the map rests on, each where it is thought to be taken now; None where none are kept.
     """
 
     time: float
@@ -47,6 +51,9 @@ class Estimate(msgspec.Struct, frozen=True):
     biases: dict[str, tuple[float, float]]
     joint: Callable[[], tuple[np.ndarray, np.ndarray]]
     coordinates: str = "additive"
+    contours: Contours | None = None
+    trajectory: Trajectory | None = None
+    sweeps: Callable[[], Sweeps] | None = None
 
 
 class Trace(msgspec.Struct, frozen=True):

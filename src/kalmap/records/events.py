@@ -35,6 +35,8 @@ class Scan(msgspec.Struct, frozen=True, gc=False):
 
     time: s. ranges: (B,) m, +inf where nothing came back. bearings: (B,) rad, 0 ahead, positive left.
     intensities: (B,) in the scanner's own units, or None.
+    stamp: s, what the log itself printed, where its stamps are not in the order of the events and `time` had to be
+        put right; NaN: `time` is the stamp.
     """
 
     time: float
@@ -43,6 +45,7 @@ class Scan(msgspec.Struct, frozen=True, gc=False):
     intensities: np.ndarray | None = None
     record: int = 0
     file: str = ""
+    stamp: float = float("nan")
 
 
 class Sightings(msgspec.Struct, frozen=True, gc=False):

@@ -21,6 +21,18 @@ class Skipped(msgspec.Struct, frozen=True):
     problem: str
 
 
+class Relations(msgspec.Struct, frozen=True):
+    """Pairs of instants between which the true motion is known (Kuemmerle et al. 2009).
+
+    first, second: (R,) s, stamps as the log itself printed them (`Scan.stamp`). poses: (R, 3) m, m, rad of the vehicle
+    at `second` as seen from the vehicle at `first`.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    poses: np.ndarray
+
+
 class Reference(msgspec.Struct, frozen=True):
     """What is known from outside, to judge a result by. Never fed to an estimator.
 
@@ -29,7 +41,9 @@ class Reference(msgspec.Struct, frozen=True):
     point: (2,) m, the point of the vehicle (forward, left) that `positions` speak of; usually (0, 0).
     times: (K,) s; positions: (K, 2) m; headings: (K,) rad, NaN where unknown.
     landmark_ids: (N,) int64; landmarks: (N, 2) m. Without ids in the log, they are numbered from 0.
-    kind: "truth", "gps", "batch" or "survey", as the reports name it.
+    kind: "truth", "gps", "batch", "survey" or "relations", as the reports name it.
+    relations: motions between pairs of instants, where those are known instead of, or beside, positions.
+    walls: (S, 4) m, true contours as segments from x, y to x, y, where the world is known.
     """
 
     frame: str = "map"
@@ -40,6 +54,8 @@ class Reference(msgspec.Struct, frozen=True):
     headings: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(0))
     landmark_ids: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     landmarks: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
+    relations: Relations | None = None
+    walls: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 4)))
 
 
 class SightingTruth(msgspec.Struct, frozen=True):
