@@ -189,6 +189,10 @@ def _apply_rows(setup, mean, packed, n, k, root, innovation, left, right):
             left[k + 1, j] = right[k, j]
             right[k + 1, j] = shift[j]
         rank = k + 2
+    if rank % 2 == 1:
+        left[rank, :n] = 0.0
+        right[rank, :n] = 0.0
+        rank += 1
     add_outer(packed, n, left, right, rank)
     return OK, nis
 

@@ -1,0 +1,266 @@
+"""Sampled environment maps: which samples a scan shows on which piece of contour, and the update that follows.
+
+The state is a pose and N samples, points on the contours of obstacles. A sample seen on a piece of the scan is
+measured by its signed orthogonal distance from the piece's curve, in the robot's frame, with the measured value 0
+(equations (3), (4) and (9) to (11) of Sun et al. 2010): scalars, several hundred a scan, applied as one block.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from kalmap.kernels.curves import distance_with_gradient
+from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE
+from kalmap.kernels.update import _apply_rows, _gather_rows
+
+HIDDEN = -1  # out of view, or something stands before it
+OPEN = -2  # the scanner looks through where the sample is
+ASIDE = -3  # in view, but on no piece: between pieces, or too far from one
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_beam(bearings, bearing):
+    """The beam that points there, -1 if none does within its neighbours' spacing. bearings ascend."""
+    count = len(bearings)
+    after = np.searchsorted(bearings, bearing)
+    if after == 0 or after == count:
+        edge = 0 if after == 0 else count - 1
+        spacing = bearings[1] - bearings[0] if count > 1 else 0.0
+        return edge if abs(bearings[edge] - bearing) <= spacing else -1
+    return after if bearings[after] - bearing < bearing - bearings[after - 1] else after - 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beyond(ranges, beam, r, margin):
+    """Whether the beam and both its neighbours measured farther than r by the margin: +1; nearer: -1; else 0."""
+    farther, nearer = 0, 0
+    first, last = max(0, beam - 1), min(len(ranges) - 1, beam + 1)
+    for b in range(first, last + 1):
+        farther += ranges[b] > r + margin
+        nearer += ranges[b] < r - margin
+    if farther == last - first + 1:
+        return 1
+    return -1 if nearer == last - first + 1 else 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, origin, scale, reach, limit, found, g, gradient):
+    """What the scan says about every sample, with the robot at `pose`.
+
+    samples, normals: (N, 2) in the map. mount: (3,) the scanner on the robot. bearings: (B,) ascending, in the scanner's
+    frame; ranges: (B,), +inf where nothing came back; piece_of_beam: (B,) or -1; coef (K, 10), origin (K, 2), scale (K,):
+    the pieces' curves in the robot's frame. reach: m, beyond which the scanner's silence says nothing. limit: m, greatest
+    distance from a curve. Writes for every sample: found (N,) its piece, or HIDDEN, OPEN, ASIDE; g (N,) m its signed
+    distance; gradient (N, 2) of the distance in the robot's frame. Returns how many were found.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    cm, sm = math.cos(mount[2]), math.sin(mount[2])
+    slope = np.empty(2)
+    count = 0
+    for i in range(len(samples)):
+        found[i] = HIDDEN
+        dx, dy = samples[i, 0] - pose[0], samples[i, 1] - pose[1]
+        x, y = c * dx + s * dy, -s * dx + c * dy
+        lx, ly = x - mount[0], y - mount[1]
+        lx, ly = cm * lx + sm * ly, -sm * lx + cm * ly
+        r = math.hypot(lx, ly)
+        if r < 1e-3 or r > reach + limit:
+            continue
+        nx, ny = c * normals[i, 0] + s * normals[i, 1], -s * normals[i, 0] + c * normals[i, 1]
+        if nx * (mount[0] - x) + ny * (mount[1] - y) < 0.05 * r:
+            continue  # its face is turned away
+        beam = _nearest_beam(bearings, math.atan2(ly, lx))
+        if beam < 0:
+            continue
+        best, last = limit, -1
+        for b in range(max(0, beam - 1), min(len(bearings), beam + 2)):
+            k = piece_of_beam[b]
+            if k < 0 or k == last:
+                continue
+            last = k
+            value = distance_with_gradient(coef[k], origin[k], scale[k], x, y, slope)
+            if abs(value) < best and slope[0] * nx + slope[1] * ny > 0.7:
+                best = abs(value)
+                found[i], g[i] = k, value
+                gradient[i, 0], gradient[i, 1] = slope[0], slope[1]
+        if found[i] >= 0:
+            count += 1
+            continue
+        beyond = _beyond(ranges, beam, r, limit)
+        if beyond == 0:
+            found[i] = ASIDE
+        elif beyond > 0 and (r < reach or math.isfinite(ranges[beam])):
+            found[i] = OPEN
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_pose(pose, information, samples, normals, mount, bearings, ranges, piece_of_beam, coef, origin, scale, sigma, reach, limits, rounds, found, g, gradient):
+    """Move `pose` to where the scan fits the samples best, the samples held. Returns (found, mean squared distance).
+
+    information: (3, 3), in the map's axes, of the pose that was handed in: the prior; on return that of the fit.
+    limits: (2,) m, the greatest distance from a curve in the first and in the last round. sigma: (K,) m of the pieces.
+    Gauss-Newton on the signed distances with Cauchy's weights; found, g and gradient are those of the last round.
+    """
+    prior, start = information.copy(), pose.copy()
+    normal, right = np.empty((3, 3)), np.empty(3)
+    row = np.empty(3)
+    matched, squares = 0, 0.0
+    for turn in range(rounds):
+        limit = max(limits[1], limits[0] * 0.5**turn)
+        matched = look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, origin, scale, reach, limit, found, g, gradient)
+        normal[:] = prior
+        for i in range(3):
+            right[i] = 0.0
+            for j in range(3):
+                right[i] -= prior[i, j] * (pose[j] - start[j])
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        squares = 0.0
+        for i in range(len(samples)):
+            if found[i] < 0:
+                continue
+            gx, gy = gradient[i, 0], gradient[i, 1]
+            wx, wy = c * gx - s * gy, s * gx + c * gy
+            row[0], row[1] = -wx, -wy
+            row[2] = wx * (samples[i, 1] - pose[1]) - wy * (samples[i, 0] - pose[0])
+            variance = sigma[found[i]] ** 2 + 1e-4
+            weight = 1.0 / (variance * (1.0 + g[i] * g[i] / (9.0 * variance)))
+            squares += g[i] * g[i]
+            for p in range(3):
+                right[p] -= weight * row[p] * g[i]
+                for q in range(3):
+                    normal[p, q] += weight * row[p] * row[q]
+        step = np.linalg.solve(normal, right)
+        pose[0] += step[0]
+        pose[1] += step[1]
+        pose[2] += step[2]
+        if turn > 2 and abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5 and limit <= limits[1]:
+            break
+    information[:] = normal
+    return matched, squares / max(1, matched)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+def _fill_scalar_rows(n, matrices, rows, work):
+    """work[m, :n] = A_m P from the gathered rows of P: two a sample, then three of the pose."""
+    count = len(matrices)
+    x_row, y_row, turn_row = rows[2 * count], rows[2 * count + 1], rows[2 * count + 2]
+    for m in range(count):
+        first, second, row = rows[2 * m], rows[2 * m + 1], work[m]
+        a, b, c, d, e = matrices[m, 0], matrices[m, 1], matrices[m, 2], matrices[m, 3], matrices[m, 4]
+        for i in range(n):
+            row[i] = a * x_row[i] + b * y_row[i] + c * turn_row[i] + d * first[i] + e * second[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise, left, right):
+    """One joint update with M scalars, each of (pose, one sample). Returns (status, NIS).
+
+    indices: (M,) where the samples begin. matrices: (M, 5). innovation: (M,) m, overwritten. noise: (M, M) m^2, the
+    lower triangle is read. left, right: work space of at least (2 M + 6, n). After an error nothing has been changed.
+    """
+    count = len(indices)
+    _gather_rows(packed, n, indices, left)
+    _fill_scalar_rows(n, matrices, left, right)
+    left[count + 2, :n] = left[2 * count + 2, :n]
+    root = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            index = indices[j]
+            total = noise[i, j] + matrices[j, 3] * right[i, index] + matrices[j, 4] * right[i, index + 1]
+            for p in range(3):
+                total += matrices[j, p] * right[i, p]
+            for p in range(j):
+                total -= root[i, p] * root[j, p]
+            if i == j:
+                if not total > 0.0:
+                    return INNOVATION_NOT_POSITIVE, 0.0
+                root[i, i] = math.sqrt(total)
+            else:
+                root[i, j] = total / root[j, j]
+    return _apply_rows(setup, mean, packed, n, count, root, innovation, left, right)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, normals, new, normal, piece):
+    """Where the scan shows contour that no sample stands for: points on the pieces' curves, in the robot's frame.
+
+    hits: (H, 2) m in the robot's frame, in the order of the beams. spacing: (K,) m, of each piece. Writes new (H, 2),
+    normal (H, 2) and piece (H,) and returns how many. A point counts as covered within 0.75 spacings of a sample that
+    faces the same way; where neighbouring beams are farther apart than two spacings nothing is known between them.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    slope = np.empty(2)
+    count = 0
+    for h in range(len(hits)):
+        k = piece_of_hit[h]
+        if k < 0:
+            continue
+        x, y = hits[h, 0], hits[h, 1]
+        for _ in range(2):
+            value = distance_with_gradient(coef[k], origin[k], scale[k], x, y, slope)
+            x -= value * slope[0]
+            y -= value * slope[1]
+        distance_with_gradient(coef[k], origin[k], scale[k], x, y, slope)
+        near = (0.75 * spacing[k]) ** 2
+        mx, my = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        nx, ny = c * slope[0] - s * slope[1], s * slope[0] + c * slope[1]
+        covered = False
+        for i in range(len(samples)):
+            dx, dy = samples[i, 0] - mx, samples[i, 1] - my
+            if dx * dx + dy * dy < near and nx * normals[i, 0] + ny * normals[i, 1] > 0.5:
+                covered = True
+                break
+        for i in range(count):
+            if covered:
+                break
+            dx, dy = new[i, 0] - x, new[i, 1] - y
+            covered = dx * dx + dy * dy < near and slope[0] * normal[i, 0] + slope[1] * normal[i, 1] > 0.5
+        wide = 2.0 * spacing[k]
+        alone = True
+        for other in (h - 1, h + 1):
+            if 0 <= other < len(hits) and piece_of_hit[other] == k:
+                alone &= math.hypot(hits[other, 0] - hits[h, 0], hits[other, 1] - hits[h, 1]) > wide
+        if covered or alone:
+            continue
+        new[count, 0], new[count, 1] = x, y
+        size = math.hypot(slope[0], slope[1])
+        normal[count, 0], normal[count, 1] = slope[0] / size, slope[1] / size
+        piece[count] = k
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def append_samples(mean, packed, n, points, normal, noise):
+    """Append samples that a scan shows at `points` (M, 2), in the robot's frame; returns the new n. The buffers must have room.
+
+    normal: (M, 2) unit, in the robot's frame. noise: (M, M) m^2, covariance of the points along their normals; along
+    the contour a sample is where it is by definition. O(M n).
+    """
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    count, before = len(points), n
+    lever = np.empty(2)
+    turned = np.empty((count, 2))
+    for m in range(count):
+        turned[m, 0] = c * normal[m, 0] - s * normal[m, 1]
+        turned[m, 1] = s * normal[m, 0] + c * normal[m, 1]
+        rx, ry = c * points[m, 0] - s * points[m, 1], s * points[m, 0] + c * points[m, 1]
+        lever[0], lever[1] = -ry, rx
+        for r in range(2):
+            start = (n + r) * (n + r + 1) // 2
+            for j in range(before + 2 * m + r + 1):
+                if j < before:
+                    own = packed[r * (r + 1) // 2 + j] if j <= r else packed[j * (j + 1) // 2 + r]
+                    turn = packed[3 + j] if j <= 2 else packed[j * (j + 1) // 2 + 2]
+                    packed[start + j] = own + lever[r] * turn
+                else:  # another new sample, or this one: through the pose, and the piece's noise
+                    q, a = (j - before) // 2, (j - before) % 2
+                    px, py = c * points[q, 0] - s * points[q, 1], s * points[q, 0] + c * points[q, 1]
+                    arm = -py if a == 0 else px
+                    total = packed[start + a] + arm * packed[start + 2]
+                    packed[start + j] = total + turned[m, r] * turned[q, a] * noise[m, q]
+            mean[n + r] = mean[r] + (rx if r == 0 else ry)
+        n += 2
+    return n
