@@ -8,6 +8,7 @@ from kalmap.data.check import Report, check_log, format_report
 from kalmap.data.csv_write import write_csv_log
 from kalmap.data.mrclam import mrclam_robots
 from kalmap.data.opening import open_log
+from kalmap.data.relations import read_relations
 
 __all__ = [
     "Audit",
@@ -20,6 +21,7 @@ __all__ = [
     "open_audit",
     "open_log",
     "read_map",
+    "read_relations",
     "write_audit",
     "write_csv_log",
 ]

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from kalmap.data.blocks import StreamEvents, covered
+from kalmap.data.drive import DriveEvents
 from kalmap.data.plausibility import Finding, implausible
 from kalmap.data.streams import Fault, SightingStream, Stream, Streams, find_faults
 from kalmap.data.unstream import streams_of_events
@@ -92,7 +93,9 @@ def check_log(log: Log) -> Report:
     findings: list[Finding] = []
     streams = None
     try:
-        streams = log.open.streams() if isinstance(log.open, StreamEvents) else streams_of_events(log)
+        streams = (
+            log.open.streams() if isinstance(log.open, StreamEvents | DriveEvents) else streams_of_events(log)
+        )
     except KalmapError as error:
         findings.append(Finding("problem", "log", "cannot be read", 1, (str(error),)))
     good: dict[str, np.ndarray] = {}

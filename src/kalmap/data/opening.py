@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from kalmap.data import car_park, csv_layout, dlr, mrclam
+from kalmap.data import car_park, csv_layout, dlr, laser_logs, mrclam
 from kalmap.data import victoria_park as park
 from kalmap.data.blocks import Detector
 from kalmap.data.csv_read import open_csv
@@ -19,7 +19,8 @@ LOOKED_FOR = f"""\
 {car_park.DATA} (ACFR car park), \
 RobotK_Odometry.dat with or without .xz (MRCLAM), \
 {dlr.CORRECTED} or {dlr.ORIGINAL} (DLR), \
-{csv_layout.ODOMETRY} (csv layout)"""
+{csv_layout.ODOMETRY} (csv layout), \
+{laser_logs.LOOKED_FOR}"""
 
 
 def open_log(
@@ -72,7 +73,7 @@ def _open_folder(
         return "DLR", lambda: dlr.open_dlr(circles)
     if mrclam.mrclam_robots(folder):
         return "MRCLAM", lambda: mrclam.open_mrclam(folder, robot)
-    return None
+    return laser_logs.laser_folder(folder)
 
 
 def _open_file(path: Path, variant: str | None, detector: Detector | None) -> Opened | None:
@@ -92,6 +93,9 @@ def _open_file(path: Path, variant: str | None, detector: Detector | None) -> Op
         return "Victoria Park", lambda: park.open_victoria_park(folder, chosen, detector)
     if path.name in (dlr.CORRECTED, dlr.ORIGINAL) or _begins_with_step(path):
         return "DLR", lambda: dlr.open_dlr(path)
+    laser = laser_logs.laser_file(path)
+    if laser is not None:
+        return laser
     if path.name == car_park.DATA or {"Time_VS", "Laser"} <= set(variable_names(path)):
         return "car park", lambda: car_park.open_car_park(path, variant, detector)
     return None
