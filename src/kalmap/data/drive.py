@@ -15,6 +15,8 @@ from kalmap.data.streams import Malformed, OdometryStream, ScanStream, Streams
 from kalmap.geometry.se2 import compose, exponential, inverse, logarithm
 from kalmap.records import Event, LogError, Odometry, Scan, Skipped
 
+LOST = np.diag([0.5**2, 0.5**2, np.deg2rad(20.0) ** 2])
+"""m^2, rad^2: how little is known of the motion across a jump of the clock."""
 TICK = 1e-6
 """s between two events of which the second is stamped earlier."""
 HOLD = 0.5
@@ -94,8 +96,8 @@ def no_return(scans: Sequence[np.ndarray]) -> float:
     if not len(values):
         return np.inf
     largest = float(values[-1])
-    if largest in SICK_CODES:
-        return SICK_CODES[0] if largest > 10 else SICK_CODES[6]
+    if np.isclose(largest, SICK_CODES, rtol=1e-6, atol=0.0).any():
+        return (SICK_CODES[0] if largest > 10 else SICK_CODES[6]) - 1e-4
     below = counts[-21:-1]
     stands_out = len(below) > 0 and counts[-1] >= max(5, 10 * below.max())
     return largest if stands_out else np.inf
@@ -123,19 +125,19 @@ def interpolated(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> tuple[
 def times_put_right(drive: Drive) -> np.ndarray:
     """(n,) s, non-decreasing: the stamps, and `TICK` after the event before where a stamp lies before that.
 
-    After a jump of the clock back, all stamps are moved on by the same amount.
+    After a jump of the clock back, all stamps are moved on by the same amount. Rows that become no events keep theirs.
     """
     times = drive.stamps.copy()
-    last, moved = -np.inf, 0.0
+    last, moved, jumped = -np.inf, 0.0, False
     for row, stamp in enumerate(drive.stamps.tolist()):
-        if row in drive.malformed:
-            times[row] = np.nan
+        jumped |= row in drive.jumps
+        if row in drive.malformed or row in drive.left_out:
             continue
-        if row in drive.jumps and stamp + moved < last:
+        if jumped and stamp + moved < last:
             moved = last + TICK - stamp
         # Unix seconds have a grain of 0.24 us, so a tick is never lost
         last = stamp + moved if stamp + moved >= last else last + TICK
-        times[row] = last
+        times[row], jumped = last, False
     return times
 
 
@@ -149,12 +151,11 @@ def steps_between(poses: np.ndarray) -> np.ndarray:
 def events(drive: Drive, skip: Skip | None) -> Iterator[Event]:
     """An `Odometry` and a `Scan` for each record, in order.
 
-    The first odometry, and the one after a jump of the clock, has no samples: nothing is known of a motion.
+    The first odometry has no samples. The one after a jump of the clock is zero and states the covariance `LOST`.
     skip: is told of each bad record that is passed over; None: a bad record raises `LogError` when its turn comes.
     """
-    times, rows = times_put_right(drive), drive.rows()
-    steps = np.zeros((len(drive.stamps), 3))
-    steps[rows] = steps_between(drive.poses[rows])
+    times = times_put_right(drive)
+    steps, jumped = _steps(drive)
     last: float | None = None
     for row in range(len(drive.stamps)):
         fault = drive.malformed.get(row) or drive.jumps.get(row)
@@ -162,27 +163,44 @@ def events(drive: Drive, skip: Skip | None) -> Iterator[Event]:
             _report(drive, row, fault, skip)
         if row in drive.malformed or row in drive.left_out:
             continue
-        time, stamp = float(times[row]), float(drive.stamps[row])
-        moved = last is not None and row not in drive.jumps
+        time, record = float(times[row]), int(drive.records[row])
         yield Odometry(
             time,
-            steps[row : row + 1] if moved else np.zeros((0, 3)),
-            np.array([time - last]) if moved and last is not None else np.zeros(0),
-            record=int(drive.records[row]),
-            file=drive.file,
-        )
-        yield Scan(
-            time,
-            np.ascontiguousarray(_returns(drive, row), dtype=np.float64),
-            drive.bearings[row],
-            None if drive.intensities is None else drive.intensities[row],
-            int(drive.records[row]),
+            np.zeros((0, 3)) if last is None else steps[row : row + 1],
+            np.zeros(0) if last is None else np.array([time - last]),
+            LOST[None] if jumped[row] and last is not None else None,
+            record,
             drive.file,
-            stamp if stamp != time else float("nan"),
         )
+        yield _scan(drive, row, time)
         last = time
     if last is None:
         raise LogError("no scan that can be used", file=drive.file)
+
+
+def _steps(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (n, 3) to the rows that become events, zero where the clock jumped since the one before, (n,) bool."""
+    rows = drive.rows()
+    steps = np.zeros((len(drive.stamps), 3))
+    steps[rows] = steps_between(drive.poses[rows])
+    jumped = np.zeros(len(drive.stamps), dtype=bool)
+    after = np.searchsorted(rows, sorted(drive.jumps))
+    jumped[rows[after[after < len(rows)]]] = True
+    steps[jumped] = 0.0
+    return steps, jumped
+
+
+def _scan(drive: Drive, row: int, time: float) -> Scan:
+    stamp = float(drive.stamps[row])
+    return Scan(
+        time,
+        np.ascontiguousarray(_returns(drive, row), dtype=np.float64),
+        drive.bearings[row],
+        None if drive.intensities is None else drive.intensities[row],
+        int(drive.records[row]),
+        drive.file,
+        stamp if stamp != time else float("nan"),
+    )
 
 
 def _returns(drive: Drive, row: int) -> np.ndarray:
@@ -209,7 +227,7 @@ def _streams(drive: Drive) -> Streams:
             times=times[rows],
             records=drive.records[rows],
             names=("dx", "dy", "dtheta"),
-            values=steps_between(drive.poses[rows]),
+            values=_steps(drive)[0][rows],
             durations=np.diff(times[rows], prepend=times[rows[:1]]),
         ),
         scans=ScanStream(
