@@ -155,7 +155,7 @@ def events(drive: Drive, skip: Skip | None) -> Iterator[Event]:
     skip: is told of each bad record that is passed over; None: a bad record raises `LogError` when its turn comes.
     """
     times = times_put_right(drive)
-    steps, jumped = _steps(drive)
+    steps, jumped = steps_of(drive)
     last: float | None = None
     for row in range(len(drive.stamps)):
         fault = drive.malformed.get(row) or drive.jumps.get(row)
@@ -178,7 +178,7 @@ def events(drive: Drive, skip: Skip | None) -> Iterator[Event]:
         raise LogError("no scan that can be used", file=drive.file)
 
 
-def _steps(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+def steps_of(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     """Steps (n, 3) to the rows that become events, zero where the clock jumped since the one before, (n,) bool."""
     rows = drive.rows()
     steps = np.zeros((len(drive.stamps), 3))
@@ -194,7 +194,7 @@ def _scan(drive: Drive, row: int, time: float) -> Scan:
     stamp = float(drive.stamps[row])
     return Scan(
         time,
-        np.ascontiguousarray(_returns(drive, row), dtype=np.float64),
+        np.ascontiguousarray(reaching(drive, row), dtype=np.float64),
         drive.bearings[row],
         None if drive.intensities is None else drive.intensities[row],
         int(drive.records[row]),
@@ -203,7 +203,8 @@ def _scan(drive: Drive, row: int, time: float) -> Scan:
     )
 
 
-def _returns(drive: Drive, row: int) -> np.ndarray:
+def reaching(drive: Drive, row: int) -> np.ndarray:
+    """(B,) the ranges of a row, +inf from the drive's reach on."""
     ranges = drive.ranges[row]
     return np.where(ranges < drive.reach, ranges, np.inf)
 
@@ -220,14 +221,14 @@ def _streams(drive: Drive) -> Streams:
     times, rows = times_put_right(drive), drive.rows()
     ranges = np.full((len(drive.stamps), max(map(len, drive.ranges), default=0)), np.inf)
     for row in rows.tolist():
-        ranges[row, : len(drive.ranges[row])] = _returns(drive, row)
+        ranges[row, : len(drive.ranges[row])] = reaching(drive, row)
     return Streams(
         odometry=OdometryStream(
             file=drive.file,
             times=times[rows],
             records=drive.records[rows],
             names=("dx", "dy", "dtheta"),
-            values=_steps(drive)[0][rows],
+            values=steps_of(drive)[0][rows],
             durations=np.diff(times[rows], prepend=times[rows[:1]]),
         ),
         scans=ScanStream(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kalmap.data.carmen import is_carmen, open_carmen
 from kalmap.data.coreslam import is_coreslam, open_coreslam
+from kalmap.data.drive import DriveEvents
 from kalmap.data.ros_bags import is_bag
 from kalmap.records import Log, LogError
 
@@ -52,3 +53,8 @@ def laser_folder(folder: Path, scan_topic: str | None, odometry_topic: str | Non
         names = ", ".join(path.name for path in found)
         raise LogError(f"holds several laser logs, name one of them: {names}", file=folder)
     return laser_file(found[0], scan_topic, odometry_topic)
+
+
+def reader_notes(log: Log) -> tuple[str, ...]:
+    """What the reader of a raw laser log decided that its user should know: which topic, which mounting."""
+    return log.open.drive.notes if isinstance(log.open, DriveEvents) else ()

@@ -26,6 +26,10 @@ TRANSFORMS = (TRANSFORM, "tf/msg/tfMessage")
 METADATA = "metadata.yaml"
 
 
+class _Unreadable(Exception):
+    """A message that is not what its type says."""
+
+
 class ScanMessage(msgspec.Struct, frozen=True):
     """A LaserScan. number: of the message on its topic, from 1; order: its place in the bag. faults come as `fault`."""
 
@@ -80,8 +84,6 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
 
     Raises LogError if it cannot be read, or if scans, odometry or a named topic are missing; it lists what is there.
     """
-    if path.name == METADATA:
-        path = path.parent
     with _opened(path) as (reader, parse):
         topics = {
             name: (info.msgtype or "several types", info.msgcount) for name, info in reader.topics.items()
@@ -133,16 +135,26 @@ def _opened(path: Path) -> Iterator[tuple[Any, Callable[[bytes, str], Any]]]:
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.serde import SerdeError
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise LogError(f"bags need the package rosbags: {error}", file=path) from error
     first = path.suffix == ".bag"
     # The messages used here have the same layout in all releases, so that strange types beside them do no harm.
     store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    if first:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORM))
     parse = store.deserialize_ros1 if first else store.deserialize_cdr
+
+    def parsed(raw: bytes, kind: str) -> Any:
+        try:
+            return parse(raw, kind)
+        except (SerdeError, AssertionError, IndexError) as error:
+            raise _Unreadable(f"cannot be read as {kind}: {reason(error)}") from error
+
     try:
         with (Reader1 if first else Reader2)(path) as reader:
-            yield reader, parse
+            yield reader, parsed
     except LogError:
         raise
     except Exception as error:  # the library, its decompressors and its databases each have their own errors
@@ -204,8 +216,8 @@ def _stamp(header: Any) -> float:
 def _scan(parse: Callable[[bytes, str], Any], raw: bytes, number: int, order: int) -> ScanMessage:
     try:
         message = parse(raw, SCAN)
-    except Exception as error:  # SerdeError and what numpy says of a message cut short
-        return ScanMessage(number, order, fault=Malformed("message", f"cannot be read: {reason(error)}"))
+    except _Unreadable as error:
+        return ScanMessage(number, order, fault=Malformed("message", str(error)))
     beams = len(message.ranges)
     start, step = float(message.angle_min), float(message.angle_increment)
     low, high = float(message.range_min), float(message.range_max)
@@ -234,7 +246,7 @@ def _scan(parse: Callable[[bytes, str], Any], raw: bytes, number: int, order: in
 def _pose(parse: Callable[[bytes, str], Any], raw: bytes, number: int, order: int) -> PoseMessage:
     try:
         message = parse(raw, POSE)
-    except Exception:  # reported by the drive: a pose without numbers
+    except _Unreadable:  # reported by the drive: a message without a pose
         return PoseMessage(number, order)
     pose = message.pose.pose
     T = matrix(_vector(pose.position), _quaternion(pose.orientation))
@@ -250,7 +262,7 @@ def _add_transforms(
     """What cannot be read is passed over: a drive needs few of its transforms, and says what it misses."""
     try:
         message = parse(raw, TRANSFORM)
-    except Exception:  # as above
+    except _Unreadable:
         return
     for each in message.transforms:
         T = matrix(_vector(each.transform.translation), _quaternion(each.transform.rotation))

@@ -9,7 +9,7 @@ import numpy as np
 
 from kalmap.data.drive import HOLD, Drive, DriveEvents, cleaned, interpolated, no_return
 from kalmap.data.laser_classes import laser_defaults
-from kalmap.data.ros_bags import Bag, ScanMessage, contents, most_common, read_bag
+from kalmap.data.ros_bags import METADATA, Bag, ScanMessage, contents, most_common, read_bag
 from kalmap.data.ros_frames import BASES, Mounting, mounting, odometry_edge, planar
 from kalmap.data.streams import Malformed
 from kalmap.records import Log, LogError
@@ -36,6 +36,7 @@ def open_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
     messages; without odometry messages, the transform from odom to the robot. Raises LogError if something of this is
     missing. Bad messages and jumps of the clock come up when the log is iterated; records count the scans from 1.
     """
+    path = path.parent if path.name == METADATA else path
     bag = read_bag(path, scan_topic, odometry_topic)
     drive = bag_drive(bag)
     reach = max((scan.high for scan in bag.scans if scan.fault is None), default=np.inf)
