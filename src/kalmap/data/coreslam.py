@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kalmap.data.drive import Drive, DriveEvents, cleaned, no_return
+from kalmap.data.drive import Drive, DriveEvents, cleaned
 from kalmap.data.laser_classes import laser_defaults
 from kalmap.data.text import read_table, read_text
 from kalmap.geometry.se2 import compose, exponential
@@ -82,7 +82,6 @@ def read_coreslam(path: Path) -> Drive:
         bearings=[bearings] * len(ranges),
         malformed=table.malformed,
         mount=MOUNT,
-        reach=no_return(list(ranges)),
     )
 
 

@@ -21,6 +21,8 @@ TICK = 1e-6
 """s between two events of which the second is stamped earlier."""
 HOLD = 0.5
 """s, how far outside the span of separate odometry messages a scan may lie and still take the nearest pose."""
+LEAST_REACH = 4.0
+"""m: no scanner sees less far than a URG-04LX."""
 MOST_VALUES = 5_000_000
 """How many ranges are looked at to find the code for no return."""
 SICK_CODES = tuple(code / unit for unit in (100.0, 1000.0) for code in (8183, 8187, 8188, 8189, 8190, 8191))
@@ -85,8 +87,8 @@ def cleaned(ranges: np.ndarray, low: float, high: float) -> np.ndarray:
 def no_return(scans: Sequence[np.ndarray]) -> float:
     """The range that codes "no return", m: what lies at or beyond it is no distance. inf where none stands out.
 
-    It is the largest value, if it is one of SICK's error codes, or if at least 5 beams share it exactly and ten times
-    as many as share any of the 20 values below it.
+    It is the largest value, if it is one of SICK's error codes, or if it is 4 m or more, at least 5 beams share it
+    exactly, and ten times as many as share any of the 20 values below it.
     """
     total = sum(len(scan) for scan in scans)
     if not total:
@@ -99,7 +101,7 @@ def no_return(scans: Sequence[np.ndarray]) -> float:
     if np.isclose(largest, SICK_CODES, rtol=1e-6, atol=0.0).any():
         return (SICK_CODES[0] if largest > 10 else SICK_CODES[6]) - 1e-4
     below = counts[-21:-1]
-    stands_out = len(below) > 0 and counts[-1] >= max(5, 10 * below.max())
+    stands_out = largest >= LEAST_REACH and len(below) > 0 and counts[-1] >= max(5, 10 * below.max())
     return largest if stands_out else np.inf
 
 
