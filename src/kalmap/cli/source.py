@@ -129,7 +129,7 @@ def _opened(
     world = find_world(text, overrides)
     if world is not None:
         if robot is not None or variant is not None or topics != (None, None):
-            raise ConfigError(f"{text} is a world: --robot, --variant and topics are for logs")
+            raise ConfigError(f"{text} is a world: --robot and --variant are for logs, and so are topics")
         return simulate(world, seed)
     log = open_log(text, robot=robot, variant=variant, scan_topic=topics[0], odometry_topic=topics[1])
     return msgspec.structs.replace(log, settings={**log.settings, "robot": robot, "variant": variant})
