@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from kalmap.cli.options import parse_robot
+from kalmap.cli.options import parse_robot, topic_options, topics
 
 
 @click.command("check", short_help="Say what is in a log and what is wrong with it.")
@@ -13,21 +13,20 @@ from kalmap.cli.options import parse_robot
 @click.option("--robot", metavar="K", help="Which robot of a log of several.")
 @click.option("--variant", help="Which form of a log that has several.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, help="Seed of a simulated world.")
-def command(log: str, as_json: bool, robot: str | None, variant: str | None, seed: int) -> None:
+@topic_options
+def command(
+    log: str, as_json: bool, robot: str | None, variant: str | None, seed: int, **given: str | None
+) -> None:
     """Counts, rates, gaps, clock jumps, late or repeated stamps, NaN and impossible values of LOG.
 
     Exit code 0 if the log is good, 1 if it has problems, 2 if it cannot be read.
     """
     import msgspec
 
-    from kalmap.cli.source import find_world, open_source
-    from kalmap.data import check_log, format_report, open_log
+    from kalmap.cli.source import open_source
+    from kalmap.data import check_log, format_report
 
-    number = parse_robot(robot)
-    if find_world(log, {}) is None:
-        opened = open_log(log, robot=number, variant=variant)
-    else:
-        opened = open_source(log, seed, {}, number, variant)
+    opened = open_source(log, seed, {}, parse_robot(robot), variant, topics=topics(given))
     report = check_log(opened)
     click.echo(
         msgspec.json.format(msgspec.json.encode(report), indent=2) if as_json else format_report(report)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from kalmap.cli.messages import say
-from kalmap.cli.options import gather, parse_robot, refuse_for_sets_only, shared_options
+from kalmap.cli.options import gather, parse_robot, refuse_for_sets_only, shared_options, topics
 
 _SHOWN = (
     "position_rmse_m",
@@ -69,7 +69,9 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     started = datetime.now(UTC)
     settings, world = gather(given, several=True)
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
-    log = open_source(text, seed, world, parse_robot(given["robot"]), given["variant"], given["clutter"])
+    log = open_source(
+        text, seed, world, parse_robot(given["robot"]), given["variant"], given["clutter"], topics(given)
+    )
     config = resolve(log.defaults, merge_seed(settings, seed))
     chosen = _methods(methods, config, given)
     folder = make_folder(out or default_folder("kalmap-compare", log.name))

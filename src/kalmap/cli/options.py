@@ -18,6 +18,11 @@ METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS)
 _FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management")
 _SETS_ONLY = ("particles", "proposal", "weighting")
 
+_TOPICS = (
+    click.option("--scan-topic", help="Of a ROS bag with several lasers."),
+    click.option("--odometry-topic", help="Of a ROS bag: odometry, or /tf for the transform from odom."),
+)
+
 _SHARED = (
     click.option("--scope", type=click.Choice(["full", "reduced"]), help="What the lineariser is handed."),
     click.option("--coordinates", type=click.Choice(["invariant", "additive"]), help="Error coordinates."),
@@ -57,6 +62,7 @@ _SHARED = (
     click.option("--seed", type=click.IntRange(min=0), help="Seed of a simulated world."),
     click.option("--robot", metavar="K|all", help="Which robot of a log of several."),
     click.option("--variant", help="Which form of a log that has several (detections, ascii, scans, ...)."),
+    *_TOPICS,
     click.option(
         "--clutter",
         type=click.FloatRange(min=0),
@@ -72,6 +78,18 @@ def shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(_SHARED):
         command = option(command)
     return command
+
+
+def topic_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that say what is read of a ROS bag."""
+    for option in reversed(_TOPICS):
+        command = option(command)
+    return command
+
+
+def topics(given: dict[str, Any]) -> tuple[str | None, str | None]:
+    """The topics of the scans and of the odometry, None where they are not named."""
+    return given["scan_topic"], given["odometry_topic"]
 
 
 def gather(given: dict[str, Any], several: bool = False) -> tuple[Settings, dict[str, Any]]:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from kalmap.cli.messages import say
-from kalmap.cli.options import FILTER_NAMES, METHOD_NAMES, gather, parse_robot, shared_options
+from kalmap.cli.options import FILTER_NAMES, METHOD_NAMES, gather, parse_robot, shared_options, topics
 
 
 @click.command("run", short_help="Run a filter over a log or a simulated world.")
@@ -29,11 +29,11 @@ from kalmap.cli.options import FILTER_NAMES, METHOD_NAMES, gather, parse_robot, 
 def command(log: str, out: Path | None, **given: Any) -> None:
     """Run a filter over LOG and write a result folder.
 
-    LOG is a folder or file (Victoria Park, car park, MRCLAM, DLR, csv; or a map for the simulator), or the name of
-    a world: course-35, course-70, bailey-35, bailey-70, course-N, same-N, wide-N, lawn-N; or one made to break
-    association: djnn-N (N movers), clutter-N, missed-35, doubles-35, orchard, clusters, breaker, grove (laser scans);
-    or one for random finite sets: phd-N (clutter N), field-160, rfs-99-0, rfs-90-1, rfs-70-6, rfs-50-13, missed-50,
-    clutter-20-70, faded-35, restless-35.
+    LOG is a folder or file (raw scans: CARMEN, ROS 1 or ROS 2 bag, CoreSLAM; landmarks: Victoria Park, car park,
+    MRCLAM, DLR, csv; or a map for the simulator), or the name of a world: course-35, course-70, bailey-35, bailey-70,
+    course-N, same-N, wide-N, lawn-N; or one made to break association: djnn-N (N movers), clutter-N, missed-35,
+    doubles-35, orchard, clusters, breaker, grove (laser scans); or one for random finite sets: phd-N (clutter N),
+    field-160, rfs-99-0, rfs-90-1, rfs-70-6, rfs-50-13, missed-50, clutter-20-70, faded-35, restless-35.
     """
     if given["robot"] == "all":
         _every_robot(log, out, given)
@@ -70,12 +70,16 @@ def run_once(
     from kalmap.cli.progress import progress_bar, summary_line, time_span
     from kalmap.cli.settings import resolve
     from kalmap.cli.source import open_source
+    from kalmap.data import reader_notes
     from kalmap.records import EstimationError, RunConfig
 
     started = datetime.now(UTC)
     settings, world = gather(given)
     seed = resolve(RunConfig(), {key: settings[key] for key in ("seed",) if key in settings}).seed
-    log = open_source(text, seed, world, robot, given["variant"], given["clutter"])
+    log = open_source(text, seed, world, robot, given["variant"], given["clutter"], topics(given))
+    if not given["quiet"]:
+        for note in reader_notes(log):
+            say(f"note: {note}")
     config = resolve(log.defaults, merge_seed(settings, seed))
     # Compiled code comes in only now, so that a log or setting that cannot be is told at once.
     from kalmap.slam import run, slam_from_config

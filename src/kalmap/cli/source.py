@@ -23,6 +23,7 @@ from kalmap.simulate import (
 )
 
 BAILEY_FOLDER = "bailey_sim"
+Topics = tuple[str | None, str | None]
 
 
 def data_root() -> Path:
@@ -112,17 +113,23 @@ def open_source(
     robot: int | None,
     variant: str | None,
     clutter: float | None = None,
+    topics: Topics = (None, None),
 ) -> Log:
-    """The log to run: read from a path, or simulated from the seed; clutter: false sightings added to every frame."""
-    log = _opened(text, seed, overrides, robot, variant)
+    """The log to run: read from a path, or simulated from the seed; clutter: false sightings added to every frame.
+
+    topics: of the scans and of the odometry in a ROS bag; None is chosen by the reader.
+    """
+    log = _opened(text, seed, overrides, robot, variant, topics)
     return log if clutter is None else with_clutter(log, clutter, seed)
 
 
-def _opened(text: str, seed: int, overrides: dict[str, Any], robot: int | None, variant: str | None) -> Log:
+def _opened(
+    text: str, seed: int, overrides: dict[str, Any], robot: int | None, variant: str | None, topics: Topics
+) -> Log:
     world = find_world(text, overrides)
     if world is not None:
-        if robot is not None or variant is not None:
-            raise ConfigError(f"{text} is a world: --robot and --variant are for logs")
+        if robot is not None or variant is not None or topics != (None, None):
+            raise ConfigError(f"{text} is a world: --robot and --variant are for logs, and so are topics")
         return simulate(world, seed)
-    log = open_log(text, robot=robot, variant=variant)
-    return msgspec.structs.replace(log, settings={"robot": robot, "variant": variant})
+    log = open_log(text, robot=robot, variant=variant, scan_topic=topics[0], odometry_topic=topics[1])
+    return msgspec.structs.replace(log, settings={**log.settings, "robot": robot, "variant": variant})

@@ -12,6 +12,8 @@ import msgspec
 import numpy as np
 
 from kalmap.data.blocks import StreamEvents, covered
+from kalmap.data.drive import DriveEvents
+from kalmap.data.laser_check import LaserReport, laser_findings, laser_lines, laser_report
 from kalmap.data.plausibility import Finding, implausible
 from kalmap.data.streams import Fault, SightingStream, Stream, Streams, find_faults
 from kalmap.data.unstream import streams_of_events
@@ -53,19 +55,20 @@ class SightingReport(msgspec.Struct, frozen=True):
 
 
 class ReferenceReport(msgspec.Struct, frozen=True):
-    """One reference: its kind, its frame, and how many poses and landmarks it has."""
+    """One reference: its kind, its frame, and how many poses, landmarks and relations it has."""
 
     kind: str
     frame: str
     poses: int
     landmarks: int
+    relations: int = 0
 
 
 class Report(msgspec.Struct, frozen=True):
     """All that `check_log` found. Encodes to JSON with `msgspec.json.encode`.
 
     begin, end: s, the span of the usable odometry; None without any. verdict: "good" (nothing), "notes"
-    or "problems", after the gravest finding.
+    or "problems", after the gravest finding. laser: of logs of raw scans with odometry; None for others.
     """
 
     log: str
@@ -77,6 +80,7 @@ class Report(msgspec.Struct, frozen=True):
     references: tuple[ReferenceReport, ...]
     findings: tuple[Finding, ...]
     verdict: Literal["good", "notes", "problems"]
+    laser: LaserReport | None = None
 
     def text(self) -> str:
         """The report as lines to read in a terminal."""
@@ -91,8 +95,11 @@ def check_log(log: Log) -> Report:
     """
     findings: list[Finding] = []
     streams = None
+    drive = log.open.drive if isinstance(log.open, DriveEvents) else None
     try:
-        streams = log.open.streams() if isinstance(log.open, StreamEvents) else streams_of_events(log)
+        streams = (
+            log.open.streams() if isinstance(log.open, StreamEvents | DriveEvents) else streams_of_events(log)
+        )
     except KalmapError as error:
         findings.append(Finding("problem", "log", "cannot be read", 1, (str(error),)))
     good: dict[str, np.ndarray] = {}
@@ -100,8 +107,11 @@ def check_log(log: Log) -> Report:
         for name, stream in streams.named().items():
             good[name], faults = find_faults(stream, streams.known_ids)
             findings += [*_grouped(name, faults), *_left_out(name, stream)]
-            findings += implausible(name, stream, good[name], log.defaults.sensor)
+            if drive is None or name != "odometry":  # a drive's odometry has the scans' own stamps
+                findings += implausible(name, stream, good[name], log.defaults.sensor)
         findings += _outside(streams, good)
+    if drive is not None:
+        findings += laser_findings(drive)
     reports = () if streams is None else tuple(_stream(n, s, good[n]) for n, s in streams.named().items())
     if not log.references:
         findings.append(Finding("note", "references", "none: there is nothing to compare a result with", 0))
@@ -115,10 +125,18 @@ def check_log(log: Log) -> Report:
         streams=reports,
         sightings=None if streams is None else _sightings(streams.sightings, good.get("sightings")),
         references=tuple(
-            ReferenceReport(r.kind, r.frame, len(r.times), len(r.landmark_ids)) for r in log.references
+            ReferenceReport(
+                r.kind,
+                r.frame,
+                len(r.times),
+                len(r.landmark_ids),
+                0 if r.relations is None else len(r.relations.first),
+            )
+            for r in log.references
         ),
         findings=tuple(sorted(findings, key=lambda f: f.severity == "note")),
         verdict="problems" if "problem" in graves else "notes" if graves else "good",
+        laser=None if drive is None else laser_report(drive),
     )
 
 
@@ -236,8 +254,12 @@ def format_report(report: Report) -> str:
         lines.append(f"  {stream.name}: {stream.records} records{bad}, {stream.instants} instants{rate}{gap}")
     if report.sightings is not None:
         lines.append(_sighting_line(report.sightings))
+    if report.laser is not None:
+        lines += laser_lines(report.laser)
     for reference in report.references:
         size = f"{reference.poses} poses, {reference.landmarks} landmarks"
+        if reference.relations:
+            size = f"{reference.relations} relations"
         lines.append(f'  reference {reference.kind}: {size}, frame "{reference.frame}"')
     for finding in report.findings:
         count = f" ({finding.count})" if finding.count > 1 else ""

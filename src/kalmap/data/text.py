@@ -1,11 +1,13 @@
-"""Text files, plain, in an xz or in a zip, and the tables of numbers in them."""
+"""Text files, plain, packed (xz, bz2, gz) or in a zip, and the tables of numbers in them."""
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import lzma
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -26,8 +28,24 @@ class Table(msgspec.Struct, frozen=True):
     malformed: dict[int, Malformed]
 
 
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {
+    ".xz": lzma.decompress,
+    ".bz2": bz2.decompress,
+    ".gz": gzip.decompress,
+}
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    lzma.LZMAError,
+    zipfile.BadZipFile,
+    zlib.error,
+    NotImplementedError,
+)
+
+
 def read_text(path: Path, member: str | None = None) -> str:
-    """The whole text of a file; of an `.xz` decompressed; of a `.zip` the given member.
+    """The whole text of a file; of an `.xz`, `.bz2` or `.gz` unpacked; of a `.zip` the given member.
 
     Bytes that are not UTF-8 come out as replacement characters, so that the number parser can name
     their row. Raises `LogError` if the file is missing, cannot be opened or is cut short.
@@ -36,13 +54,11 @@ def read_text(path: Path, member: str | None = None) -> str:
         if member is not None:
             with zipfile.ZipFile(path) as archive:
                 data = archive.read(member)
-        elif path.suffix == ".xz":
-            data = lzma.decompress(path.read_bytes())
         else:
-            data = path.read_bytes()
+            data = _UNPACK.get(path.suffix, bytes)(path.read_bytes())
     except KeyError:
         raise LogError(f"the archive holds no {member}", file=path) from None
-    except (OSError, EOFError, lzma.LZMAError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+    except _UNREADABLE as error:
         raise LogError(f"cannot be read: {reason(error)}", file=path) from error
     return data.decode("utf-8", errors="replace").removeprefix("\ufeff")
 

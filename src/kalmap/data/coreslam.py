@@ -1,0 +1,96 @@
+"""The `.dat` logs of CoreSLAM and BreezySLAM: Mines ParisTech's robot with a URG-04LX and wheel encoders.
+
+One line a scan, 707 numbers: time us, a status, ticks of the left and of the right wheel, 20 further status
+values, 683 ranges mm. The robot's constants are those published with both programs (Steux & El Hamzaoui 2010). Ranges
+below 20 are error codes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from kalmap.data.drive import Drive, DriveEvents, cleaned
+from kalmap.data.laser_classes import laser_defaults
+from kalmap.data.text import read_table, read_text
+from kalmap.geometry.se2 import compose, exponential
+from kalmap.records import Log, LogError
+
+BEAMS = 683
+FIRST_RANGE = 24
+WHEEL_RADIUS = 0.077
+"""m."""
+HALF_BASE = 0.165
+"""m, half the distance between the wheels."""
+TICKS = 2000.0
+"""Of a wheel's turn."""
+MOUNT = np.array([0.145, 0.0, 0.0])
+"""The laser ahead of the middle of the axle."""
+FORWARD = 340
+"""The beam that looks ahead."""
+SPACING_DEG = 360.0 / 1024.0
+FIRST_DISTANCE = 0.020
+"""m: what is less is an error code."""
+_HEAD = 1 << 14
+
+
+def is_coreslam(path: Path) -> bool:
+    """Whether a `.dat` begins with a line of 707 numbers, time, ticks and ranges whole ones."""
+    if path.suffix != ".dat":
+        return False
+    try:
+        with path.open("rb") as stream:
+            words = stream.read(_HEAD).partition(b"\n")[0].split()
+    except OSError:
+        return False
+    whole = [*words[:1], *words[2:4], *words[FIRST_RANGE:]]
+    return len(words) == FIRST_RANGE + BEAMS and all(word.lstrip(b"-").isdigit() for word in whole)
+
+
+def open_coreslam(path: Path) -> Log:
+    """The log in a `.dat`. Raises LogError if it cannot be read; bad lines come up when the log is iterated."""
+    drive = read_coreslam(path)
+    return Log(
+        name=path.stem,
+        source=str(path),
+        defaults=laser_defaults(drive),
+        open=DriveEvents(drive),
+        files=(str(path),),
+    )
+
+
+def read_coreslam(path: Path) -> Drive:
+    """All scans of a `.dat`, the robot's poses by its wheels from (0, 0, 0) on. Records are line numbers."""
+    names = ["time", "status", "left", "right", *(f"status {k}" for k in range(4, FIRST_RANGE))]
+    names += [f"range {k + 1}" for k in range(BEAMS)]
+    table = read_table(read_text(path), names)
+    if not len(table.values):
+        raise LogError("holds no scans", file=path)
+    good = np.ones(len(table.values), dtype=bool)
+    good[list(table.malformed)] = False
+    poses = np.full((len(good), 3), np.nan)
+    poses[good] = _reckoned(table.values[good, 2:4])
+    ranges = cleaned(table.values[:, FIRST_RANGE:] / 1000.0, FIRST_DISTANCE, np.inf)
+    bearings = np.deg2rad((np.arange(BEAMS) - FORWARD) * SPACING_DEG)
+    return Drive(
+        file=str(path),
+        stamps=table.values[:, 0] / 1e6,
+        records=table.records,
+        poses=poses,
+        ranges=list(ranges),
+        bearings=[bearings] * len(ranges),
+        malformed=table.malformed,
+        mount=MOUNT,
+    )
+
+
+def _reckoned(ticks: np.ndarray) -> np.ndarray:
+    """Poses (n, 3) on arcs of constant curvature; ticks (n, 2): left, right."""
+    way = np.diff(ticks, axis=0) * (2.0 * np.pi * WHEEL_RADIUS / TICKS)
+    turn = (way[:, 1] - way[:, 0]) / (2.0 * HALF_BASE)
+    steps = exponential(np.column_stack([way.mean(axis=1), np.zeros(len(way)), turn]))
+    poses = np.zeros((len(ticks), 3))
+    for k, step in enumerate(steps):
+        poses[k + 1] = compose(poses[k], step)
+    return poses

@@ -1,0 +1,93 @@
+"""Classes of laser scanners, and the settings that a log of raw scans starts from.
+
+A log does not name its scanner. It is taken for URG-like if its largest true range, or what it states as the scanner's
+range, is at most 6 m, and its beams cover more than 190 degrees or lie closer than 0.45 degrees; else for SICK-like.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from kalmap.data.drive import Drive
+from kalmap.records import ContourConfig, MotionConfig, RunConfig, SensorConfig
+
+
+class LaserClass(msgspec.Struct, frozen=True):
+    """A kind of scanner. max_range: m, to which it is of use; the rest as in `SensorConfig`."""
+
+    name: str
+    min_range: float
+    max_range: float
+    sigma_range: float
+    sigma_range_ratio: float
+    sigma_bearing_deg: float
+
+
+SICK = LaserClass(
+    "SICK-like",
+    min_range=0.1,
+    max_range=80.0,
+    sigma_range=0.02,
+    sigma_range_ratio=0.0,
+    sigma_bearing_deg=0.25,
+)
+"""Time of flight, 180 degrees (LMS 200: 80 m, statistical error 5 mm up to 8 m, resolution 1 cm)."""
+
+URG = LaserClass(
+    "URG-like", min_range=0.06, max_range=5.6, sigma_range=0.02, sigma_range_ratio=0.01, sigma_bearing_deg=0.2
+)
+"""Phase shift, 240 degrees (URG-04LX: rated 4 m, accuracy 1 cm or 1 %; returns up to 5.6 m)."""
+
+URG_RANGE = 6.0
+URG_FIELD_DEG = 190.0
+URG_SPACING_DEG = 0.45
+
+INDOOR = MotionConfig(
+    model="increments", sigma_distance_ratio=0.1, sigma_rotation_deg=0.5, sigma_rotation_ratio=0.1
+)
+"""Odometry of wheeled robots on floors, a step being the way between two scans."""
+
+
+def laser_class(drive: Drive, stated: float = np.inf) -> LaserClass:
+    """The class of a drive's scanner. stated: m, the range that the log says it has."""
+    rows = drive.rows()
+    if not len(rows):
+        return SICK
+    bearings = max((drive.bearings[row] for row in rows.tolist()), key=len)
+    field = np.rad2deg(bearings[-1] - bearings[0])
+    spacing = field / max(1, len(bearings) - 1)
+    near = min(stated, _largest(drive, rows)) <= URG_RANGE
+    fine = field > URG_FIELD_DEG or (len(bearings) > 1 and spacing < URG_SPACING_DEG)
+    return URG if near and fine else SICK
+
+
+def laser_defaults(drive: Drive, stated: float = np.inf) -> RunConfig:
+    """Settings for a drive: the scanner's class, its mounting and its view from the log, contours as the map."""
+    kind = laser_class(drive, stated)
+    widest = max((float(np.abs(bearings).max(initial=0.0)) for bearings in drive.bearings), default=0.0)
+    x, y, heading = drive.mount.tolist()
+    return RunConfig(
+        motion=INDOOR,
+        sensor=SensorConfig(
+            mount_x=x,
+            mount_y=y,
+            mount_heading_deg=float(np.rad2deg(heading)),
+            sigma_range=kind.sigma_range,
+            sigma_range_ratio=kind.sigma_range_ratio,
+            sigma_bearing_deg=kind.sigma_bearing_deg,
+            min_range=kind.min_range,
+            max_range=min(kind.max_range, stated, drive.reach),
+            field_of_view_deg=min(360.0, max(1.0, 2.0 * float(np.rad2deg(widest)))),
+        ),
+        contour=ContourConfig(method="dc-slasem"),
+    )
+
+
+def _largest(drive: Drive, rows: np.ndarray) -> float:
+    """The largest true range, m; 0 without any."""
+    largest = 0.0
+    for row in rows.tolist():
+        ranges = drive.ranges[row]
+        largest = max(largest, float(ranges[ranges < drive.reach].max(initial=0.0)))
+    return largest
