@@ -1,0 +1,195 @@
+"""From a scan to pieces of contour: the one entry, `cut_and_fit`."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from kalmap.kernels.contour_cut import are_linked, is_range, order_beams, range_variance, straight_runs
+from kalmap.kernels.contour_fit import fit_line
+from kalmap.kernels.contour_layout import (
+    CORNER,
+    END,
+    HIDDEN,
+    MIN_LENGTH,
+    MIN_POINTS,
+    MOUNT_HEADING,
+    MOUNT_X,
+    MOUNT_Y,
+    ONWARD,
+    ROUGHNESS,
+    SIGMA_BEAM,
+    SILENT,
+    VIEW,
+)
+from kalmap.kernels.implicit import evaluate, project
+
+_CLOSED = 2.5  # mean spacings of the beams that the two ends of a full circle may lie apart
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def locate_beams(ranges, bearings, order, settings):
+    """The beams of `order` that brought a range back: place in `order` (n,), points (n, 2), rays (n, 2), variances
+    along and across the beam (n,), all in the robot's frame."""
+    count = 0
+    place = np.empty(len(order), dtype=np.int64)
+    for k in range(len(order)):
+        if is_range(ranges[order[k]], settings):
+            place[count] = k
+            count += 1
+    points, rays = np.empty((count, 2)), np.empty((count, 2))
+    along, across = np.empty(count), np.empty(count)
+    for n in range(count):
+        r = ranges[order[place[n]]]
+        angle = bearings[order[place[n]]] + settings[MOUNT_HEADING]
+        rays[n, 0], rays[n, 1] = math.cos(angle), math.sin(angle)
+        points[n, 0] = settings[MOUNT_X] + r * rays[n, 0]
+        points[n, 1] = settings[MOUNT_Y] + r * rays[n, 1]
+        along[n] = range_variance(r, settings)
+        across[n] = (settings[SIGMA_BEAM] * r) ** 2
+    return place[:count], points, rays, along, across
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def link_beams(ranges, bearings, order, place, points, along, full, settings):
+    """linked (n,): whether each point and the next one, the first after the last, lie on one contour."""
+    count = len(place)
+    own = np.empty(count)
+    for n in range(count):
+        own[n] = ranges[order[place[n]]]
+    linked = np.zeros(count, dtype=np.bool_)
+    for n in range(count):
+        after = (n + 1) % count
+        step = bearings[order[place[after]]] - bearings[order[place[n]]]
+        missing = place[after] - place[n] - 1
+        if after == 0:
+            step += 2.0 * math.pi
+            missing += len(order)
+        if count > 1 and (after > 0 or full):
+            linked[n] = are_linked(n, step, missing, own, points, along, settings)
+    return linked
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_start(linked, points):
+    """Where to open a scan of the full circle: after a gap, or after the widest step if there is no gap."""
+    count = len(linked)
+    widest, start = -1.0, 0
+    for n in range(count):
+        after = (n + 1) % count
+        if not linked[n]:
+            return after
+        step = math.hypot(points[after, 0] - points[n, 0], points[after, 1] - points[n, 1])
+        if step > widest:
+            widest, start = step, after
+    linked[(start - 1) % count] = False
+    return start
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def end_kind(n, side, linked, piece, place, ranges, order, full):
+    """How the piece of point n ends there; side: 1 for its last point, -1 for its first. See `contour_layout`."""
+    count = len(place)
+    near = n
+    for _ in range(3):  # past a point or two of which no piece was made
+        other = near + side
+        if full:
+            other %= count
+        if other < 0 or other >= count:
+            outside = place[near] + side
+            return VIEW if outside < 0 or outside >= len(order) else SILENT
+        joined = linked[near] if side > 0 else linked[other]
+        if not joined:
+            apart = (side * (place[other] - place[near])) % len(order)
+            if apart > 1:
+                return SILENT
+            return HIDDEN if ranges[order[place[other]]] < ranges[order[place[n]]] else END
+        if piece[other] >= 0:
+            if near == n:
+                return CORNER
+            step = abs(ranges[order[place[other]]] - ranges[order[place[n]]])
+            if step < 0.1:
+                return ONWARD
+            return HIDDEN if ranges[order[place[other]]] < ranges[order[place[n]]] else END
+        near = other
+    return ONWARD
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def face_sensor(coef, origin, scale, x, y, settings):
+    """Turn the signs so that p grows from the curve at (x, y) towards the sensor."""
+    _p, a, b = evaluate(coef, (x - origin[0]) / scale, (y - origin[1]) / scale)
+    if a * (settings[MOUNT_X] - x) + b * (settings[MOUNT_Y] - y) < 0.0:
+        coef *= -1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cut_and_fit(ranges, bearings, settings):
+    """Pieces of contour in one scan: ranges (B,) m, bearings (B,) rad, settings as in `contour_layout`.
+
+    Returns coef (K, 10), cov (K, 10, 10), origin (K, 2), scale (K,), order (K,), sigma (K,), first and last beam (K,),
+    ends (K, 2, 2), kinds (K, 2), lengths (K,), points (N, 2), piece (N,) and beam (N,) of every point.
+    """
+    order = order_beams(bearings)
+    place, points, rays, along, across = locate_beams(ranges, bearings, order, settings)
+    count = len(place)
+    full = False
+    if len(order) > 2:
+        span = bearings[order[-1]] - bearings[order[0]]
+        full = 2.0 * math.pi - span <= _CLOSED * span / (len(order) - 1)
+    linked = link_beams(ranges, bearings, order, place, points, along, full, settings)
+    if full and count > 1:
+        start = ring_start(linked, points)
+        linked, place = np.roll(linked, -start), np.roll(place, -start)
+        turned = np.arange(count)
+        turned = (turned + start) % count
+        points, rays, along, across = points[turned], rays[turned], along[turned], across[turned]
+    cuts = straight_runs(points, along, linked, settings, settings[ROUGHNESS] ** 2)
+    most = len(cuts) - 1
+    coef, cov = np.zeros((most, 10)), np.zeros((most, 10, 10))
+    origin, scale, sigma = np.zeros((most, 2)), np.ones(most), np.zeros(most)
+    degree, bounds = np.ones(most, dtype=np.int64), np.zeros((most, 2), dtype=np.int64)
+    ends, lengths = np.zeros((most, 2, 2)), np.zeros(most)
+    piece = np.full(count, -1, dtype=np.int64)
+    k = 0
+    for run in range(most):
+        a, b = cuts[run], cuts[run + 1]
+        if b - a < settings[MIN_POINTS]:
+            continue
+        scale[k], _chi, rough = fit_line(
+            points[a:b], rays[a:b], along[a:b], across[a:b], coef[k], cov[k], origin[k]
+        )
+        for side in range(2):
+            n = a if side == 0 else b - 1
+            x, y = project(coef[k], origin[k, 0], origin[k, 1], scale[k], points[n, 0], points[n, 1])
+            ends[k, side, 0], ends[k, side, 1] = x, y
+        lengths[k] = math.hypot(ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1])
+        if lengths[k] < settings[MIN_LENGTH]:
+            continue
+        face_sensor(coef[k], origin[k], scale[k], points[(a + b) // 2, 0], points[(a + b) // 2, 1], settings)
+        sigma[k] = math.sqrt(max(rough, settings[ROUGHNESS] ** 2))
+        bounds[k, 0], bounds[k, 1] = a, b - 1
+        piece[a:b] = k
+        k += 1
+    kinds = np.zeros((k, 2), dtype=np.int64)
+    first, last = np.zeros(k, dtype=np.int64), np.zeros(k, dtype=np.int64)
+    for i in range(k):
+        kinds[i, 0] = end_kind(bounds[i, 0], -1, linked, piece, place, ranges, order, full)
+        kinds[i, 1] = end_kind(bounds[i, 1], 1, linked, piece, place, ranges, order, full)
+        first[i], last[i] = order[place[bounds[i, 0]]], order[place[bounds[i, 1]]]
+    return (
+        coef[:k],
+        cov[:k],
+        origin[:k],
+        scale[:k],
+        degree[:k],
+        sigma[:k],
+        first,
+        last,
+        ends[:k],
+        kinds,
+        lengths[:k],
+        points,
+        piece,
+        order[place],
+    )
