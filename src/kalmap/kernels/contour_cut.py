@@ -11,7 +11,6 @@ from kalmap.kernels.contour_layout import (
     MIN_RANGE,
     RATIO_RANGE,
     SIGMA_RANGE,
-    SPLIT_COST,
     STEEPEST,
 )
 
@@ -167,7 +166,7 @@ def split_runs(sums, a, b, price, cuts):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mend_runs(sums, price, cuts, filled):
-    """Move every cut to where it is best between its neighbours, and take out those that do not pay. Returns `filled`."""
+    """Move every cut to where it is best between its neighbours, take out those that do not pay; returns `filled`."""
     for _ in range(3):
         changed = False
         for k in range(1, filled - 1):
@@ -191,11 +190,12 @@ def mend_runs(sums, price, cuts, filled):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def straight_runs(points, noise, linked, settings, rough):
-    """Starts of the straight runs of a scan's points, and its end: (R + 1,) int64. Runs never cross a missing link."""
-    count = len(points)
-    sums = np.empty((count + 1, 6))
-    running_sums(points, noise, rough, sums)
+def straight_runs(sums, linked, price):
+    """Starts of the straight runs of a scan's points, and its end: (R + 1,) int64. Runs never cross a missing link.
+
+    sums: of `running_sums`. price: chi-square that a cut must save.
+    """
+    count = len(linked)
     cuts = np.empty(count + 1, dtype=np.int64)
     own = np.empty(count + 1, dtype=np.int64)
     filled = 0
@@ -204,8 +204,8 @@ def straight_runs(points, noise, linked, settings, rough):
         b = a + 1
         while b < count and linked[b - 1]:
             b += 1
-        held = split_runs(sums, a, b, settings[SPLIT_COST], own)
-        held = mend_runs(sums, settings[SPLIT_COST], own, held)
+        held = split_runs(sums, a, b, price, own)
+        held = mend_runs(sums, price, own, held)
         for k in range(held - 1):
             cuts[filled] = own[k]
             filled += 1

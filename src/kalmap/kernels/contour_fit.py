@@ -60,8 +60,9 @@ def excess_variance(residuals, variances, freedom):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_line(points, rays, along, across, coef, cov, origin):
-    """Weighted total least squares: fills coef (10,), cov (10, 10), origin (2,); returns scale m, chi-square, rough m^2.
+    """Weighted total least squares: fills coef (10,), cov (10, 10), origin (2,).
 
+    Returns scale m, chi-square and rough m^2, the variance that the points' noise does not explain.
     points (N, 2), rays (N, 2), along (N,), across (N,), N >= 2. The line is p = n . (u, v) about the weighted mean, in
     units of half the points' extent; weights follow from the direction found before, three times over.
     The offset at the mean has variance 1 / sum w, the angle 1 / sum w t^2, and the two are independent.

@@ -5,12 +5,19 @@ import math
 import numpy as np
 from numba import njit
 
-from kalmap.kernels.contour_cut import are_linked, is_range, order_beams, range_variance, straight_runs
-from kalmap.kernels.contour_fit import fit_line
+from kalmap.kernels.contour_cut import (
+    are_linked,
+    is_range,
+    order_beams,
+    range_variance,
+    running_sums,
+    straight_runs,
+)
 from kalmap.kernels.contour_layout import (
     CORNER,
     END,
     HIDDEN,
+    MAX_ORDER,
     MIN_LENGTH,
     MIN_POINTS,
     MOUNT_HEADING,
@@ -20,10 +27,13 @@ from kalmap.kernels.contour_layout import (
     ROUGHNESS,
     SIGMA_BEAM,
     SILENT,
+    SPLIT_COST,
     VIEW,
 )
-from kalmap.kernels.implicit import evaluate, project
+from kalmap.kernels.contour_shapes import shape_run
+from kalmap.kernels.implicit import distance_rows, evaluate, project, signed_distance
 
+_ASIDE = 0.15  # m, most that a point may lie beside a piece to be its continuation
 _CLOSED = 2.5  # mean spacings of the beams that the two ends of a full circle may lie apart
 
 
@@ -87,8 +97,26 @@ def ring_start(linked, points):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def end_kind(n, side, linked, piece, place, ranges, order, full):
-    """How the piece of point n ends there; side: 1 for its last point, -1 for its first. See `contour_layout`."""
+def goes_on(coef, cov, origin, scale, sigma, points, along, across, other):
+    """Whether point `other` lies where the piece would go on, three standard deviations allowed but no more than
+    `_ASIDE`: a wall whose points have become too far apart to follow."""
+    x, y = points[other, 0], points[other, 1]
+    away, _gx, _gy = signed_distance(coef, origin[0], origin[1], scale, x, y)
+    row = np.empty((1, 10))
+    distance_rows(coef, origin[0], origin[1], scale, points[other : other + 1], row)
+    variance = sigma * sigma + max(along[other], across[other])
+    for i in range(10):
+        for j in range(10):
+            variance += row[0, i] * cov[i, j] * row[0, j]
+    return abs(away) <= min(_ASIDE, 3.0 * math.sqrt(variance))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def end_kind(n, side, linked, piece, place, ranges, order, full, onward):
+    """How the piece of point n ends there; side: 1 for its last point, -1 for its first. See `contour_layout`.
+
+    onward: whether the point beside it lies on the piece's own curve.
+    """
     count = len(place)
     near = n
     for _ in range(3):  # past a point or two of which no piece was made
@@ -103,6 +131,8 @@ def end_kind(n, side, linked, piece, place, ranges, order, full):
             apart = (side * (place[other] - place[near])) % len(order)
             if apart > 1:
                 return SILENT
+            if near == n and onward:
+                return ONWARD
             return HIDDEN if ranges[order[place[other]]] < ranges[order[place[n]]] else END
         if piece[other] >= 0:
             if near == n:
@@ -113,6 +143,23 @@ def end_kind(n, side, linked, piece, place, ranges, order, full):
             return HIDDEN if ranges[order[place[other]]] < ranges[order[place[n]]] else END
         near = other
     return ONWARD
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def end_points(degree, coef, origin, scale, points, ends):
+    """Feet of the first and last point: fills ends (2, 2); returns the length along the curve, m."""
+    count, total = len(points), 0.0
+    stride = count - 1 if degree == 1 else 1
+    x, y = 0.0, 0.0
+    for n in range(0, count, stride):
+        nx, ny = project(coef, origin[0], origin[1], scale, points[n, 0], points[n, 1])
+        if n == 0:
+            ends[0, 0], ends[0, 1] = nx, ny
+        else:
+            total += math.hypot(nx - x, ny - y)
+        x, y = nx, ny
+    ends[1, 0], ends[1, 1] = x, y
+    return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -144,38 +191,56 @@ def cut_and_fit(ranges, bearings, settings):
         turned = np.arange(count)
         turned = (turned + start) % count
         points, rays, along, across = points[turned], rays[turned], along[turned], across[turned]
-    cuts = straight_runs(points, along, linked, settings, settings[ROUGHNESS] ** 2)
+    rough, price, highest = settings[ROUGHNESS] ** 2, settings[SPLIT_COST], int(settings[MAX_ORDER])
+    sums = np.empty((count + 1, 6))
+    running_sums(points, along, rough, sums)
+    cuts = straight_runs(sums, linked, price)
     most = len(cuts) - 1
     coef, cov = np.zeros((most, 10)), np.zeros((most, 10, 10))
     origin, scale, sigma = np.zeros((most, 2)), np.ones(most), np.zeros(most)
     degree, bounds = np.ones(most, dtype=np.int64), np.zeros((most, 2), dtype=np.int64)
     ends, lengths = np.zeros((most, 2, 2)), np.zeros(most)
     piece = np.full(count, -1, dtype=np.int64)
-    k = 0
-    for run in range(most):
-        a, b = cuts[run], cuts[run + 1]
-        if b - a < settings[MIN_POINTS]:
+    k, run = 0, 0
+    while run < most:
+        a = cuts[run]
+        if cuts[run + 1] - a < 2:
+            run += 1
             continue
-        scale[k], _chi, rough = fit_line(
-            points[a:b], rays[a:b], along[a:b], across[a:b], coef[k], cov[k], origin[k]
+        run, degree[k], scale[k], excess = shape_run(
+            cuts,
+            run,
+            sums,
+            linked,
+            points,
+            rays,
+            along,
+            across,
+            rough,
+            price,
+            highest,
+            coef[k],
+            cov[k],
+            origin[k],
         )
-        for side in range(2):
-            n = a if side == 0 else b - 1
-            x, y = project(coef[k], origin[k, 0], origin[k, 1], scale[k], points[n, 0], points[n, 1])
-            ends[k, side, 0], ends[k, side, 1] = x, y
-        lengths[k] = math.hypot(ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1])
-        if lengths[k] < settings[MIN_LENGTH]:
+        b = cuts[run]
+        lengths[k] = end_points(degree[k], coef[k], origin[k], scale[k], points[a:b], ends[k])
+        if b - a < settings[MIN_POINTS] or not lengths[k] >= settings[MIN_LENGTH]:
             continue
         face_sensor(coef[k], origin[k], scale[k], points[(a + b) // 2, 0], points[(a + b) // 2, 1], settings)
-        sigma[k] = math.sqrt(max(rough, settings[ROUGHNESS] ** 2))
+        sigma[k] = math.sqrt(max(excess, rough))
         bounds[k, 0], bounds[k, 1] = a, b - 1
         piece[a:b] = k
         k += 1
     kinds = np.zeros((k, 2), dtype=np.int64)
     first, last = np.zeros(k, dtype=np.int64), np.zeros(k, dtype=np.int64)
     for i in range(k):
-        kinds[i, 0] = end_kind(bounds[i, 0], -1, linked, piece, place, ranges, order, full)
-        kinds[i, 1] = end_kind(bounds[i, 1], 1, linked, piece, place, ranges, order, full)
+        for side in range(2):
+            n, way = bounds[i, side], 2 * side - 1
+            onward = goes_on(
+                coef[i], cov[i], origin[i], scale[i], sigma[i], points, along, across, (n + way) % count
+            )
+            kinds[i, side] = end_kind(n, way, linked, piece, place, ranges, order, full, onward)
         first[i], last[i] = order[place[bounds[i, 0]]], order[place[bounds[i, 1]]]
     return (
         coef[:k],

@@ -77,7 +77,7 @@ def distance_rows(c, ox, oy, scale, points, rows):
     """
     for n in range(len(points)):
         u, v = (points[n, 0] - ox) / scale, (points[n, 1] - oy) / scale
-        p, by_u, by_v = evaluate(c, u, v)
+        _p, by_u, by_v = evaluate(c, u, v)
         monomials(u, v, rows[n])
         rows[n] *= scale / math.hypot(by_u, by_v)
 
@@ -114,7 +114,7 @@ def project(c, ox, oy, scale, x, y):
 @njit(cache=True, nogil=True, error_model="numpy")
 def bend(c, u, v):
     """Curvature at (u, v) in 1 / scale, positive where the curve bends away from the side with p > 0."""
-    p, a, b = evaluate(c, u, v)
+    _p, a, b = evaluate(c, u, v)
     uu, uv, vv = second_derivatives(c, u, v)
     return (uu * b * b - 2.0 * uv * a * b + vv * a * a) / math.pow(a * a + b * b, 1.5)
 

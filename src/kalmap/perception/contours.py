@@ -44,7 +44,7 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     sigma_beam_deg: float = 0.1
     grazing_deg: float = 12.0
     steepest_deg: float = 4.0
-    split_cost: float = 30.0
+    split_cost: float = 25.0
     roughness: float = 0.005
     min_points: int = 4
     min_length: float = 0.05
