@@ -19,13 +19,13 @@ _TURNS = 4  # times that weights and normals are taken anew
 _STEEP = 2.5  # most by which gradients along a piece may differ from their mean
 _ROUND = 0.15  # most curvature times noise: a bend that the noise hides is a corner
 _SHARPEST = 0.8  # rad, most that the curve may turn from one point to the next
-_GENTLE = 0.26  # rad, up to which it may turn where it pleases
-_EVEN = 2.5  # beyond, most turn in mean turns: a bend in one place is a corner
+_GENTLE = 0.26  # rad, up to which it may turn wherever it likes
+_EVEN = 2.5  # beyond, most curvature in mean curvatures: a bend in one place is a corner
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def invert(matrix, size, inverse):
-    """Inverse of a positive definite (size, size), by Cholesky; `matrix` is overwritten. False if it is not definite."""
+    """Inverse of a positive definite (size, size), by Cholesky, which overwrites it. False if it is not definite."""
     for j in range(size):
         for k in range(j):
             matrix[j, j] -= matrix[j, k] * matrix[j, k]
@@ -221,7 +221,7 @@ def is_sound(c, origin, scale, points, sigma, margin):
     for n in range(count):
         _p, a, b = evaluate(c, (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale)
         mean += math.hypot(a, b) / count
-    most, whole = 0.0, 0.0
+    sharpest, most, whole, length = 0.0, 0.0, 0.0, 0.0
     before_x, before_y = 0.0, 0.0
     for n in range(count):
         u, v = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
@@ -237,7 +237,9 @@ def is_sound(c, origin, scale, points, sigma, margin):
             if steep < mean / _STEEP or scale * abs(p) > steep * (0.25 * chord + 3.0 * sigma):
                 return False
             turn = math.acos(min(1.0, max(-1.0, nx * before_x + ny * before_y)))
-            most, whole = max(most, turn), whole + turn
+            whole, length = whole + turn, length + chord
+            if turn > _GENTLE:
+                sharpest, most = max(sharpest, turn), max(most, bent / scale)
         before_x, before_y = nx, ny
         if n == 0 or n == count - 1:
             other = points[1] if n == 0 else points[count - 2]
@@ -247,5 +249,4 @@ def is_sound(c, origin, scale, points, sigma, margin):
             )
             if not 1.0 / _STEEP <= beyond <= _STEEP:
                 return False
-    even = _EVEN * whole / (count - 1)
-    return most <= _SHARPEST and most <= max(_GENTLE, even)
+    return sharpest <= _SHARPEST and most * length <= _EVEN * whole

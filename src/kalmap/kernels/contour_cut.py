@@ -14,6 +14,7 @@ from kalmap.kernels.contour_layout import (
     STEEPEST,
 )
 
+_SLACK = 4.5  # standard deviations that noise may add to a gap
 _BRIDGED = 2  # beams without a range that a contour may go on across
 _BRIDGE = 0.5  # m, least gap that is allowed there
 _GRAZING_GAP = 1.0  # m, longest gap on a line seen at a steep angle
@@ -82,7 +83,7 @@ def are_linked(k, step, missing, ranges, points, noise, settings):
         return False
     gap = math.hypot(points[after, 0] - points[k, 0], points[after, 1] - points[k, 1])
     nearest = min(ranges[k], ranges[after])
-    slack = 3.0 * math.sqrt(noise[k] + noise[after])
+    slack = _SLACK * math.sqrt(noise[k] + noise[after])
     if gap <= widest_gap(nearest, step, settings[GRAZING]) + slack:
         return missing == 0 or gap <= max(_BRIDGE, 1.5 * nearest * step) + slack
     before, beyond = (k - 1) % count, (k + 2) % count

@@ -44,18 +44,22 @@ def scatter(points, weights):
 def excess_variance(residuals, variances, freedom):
     """Variance (m^2) that residuals (m) show beyond their own `variances`, 0 where chance explains them.
 
-    Residuals beyond `_HUBER` standard deviations count as if they lay there. Also returns chi-square as it is.
+    Residuals beyond `_HUBER` standard deviations, the excess included, count as if they lay there.
+    Also returns chi-square as it is.
     """
-    chi, surplus = 0.0, 0.0
+    chi = 0.0
     for n in range(len(residuals)):
-        share = residuals[n] * residuals[n] / variances[n]
-        chi += share
-        surplus += min(share, _HUBER * _HUBER) * variances[n]
+        chi += residuals[n] * residuals[n] / variances[n]
     if freedom <= 0 or chi <= freedom + _EXCESS * math.sqrt(2.0 * freedom):
         return 0.0, chi
-    for n in range(len(residuals)):
-        surplus -= variances[n] * freedom / len(residuals)
-    return max(0.0, surplus / freedom), chi
+    excess, lost = 0.0, freedom / len(residuals)
+    for _ in range(8):  # what counts as far off grows with the excess
+        surplus = 0.0
+        for n in range(len(residuals)):
+            most = _HUBER * _HUBER * (variances[n] + excess)
+            surplus += min(residuals[n] * residuals[n], most) - lost * variances[n]
+        excess = max(0.0, surplus / freedom)
+    return excess, chi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

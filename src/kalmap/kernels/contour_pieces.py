@@ -81,19 +81,15 @@ def link_beams(ranges, bearings, order, place, points, along, full, settings):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ring_start(linked, points):
-    """Where to open a scan of the full circle: after a gap, or after the widest step if there is no gap."""
-    count = len(linked)
-    widest, start = -1.0, 0
-    for n in range(count):
-        after = (n + 1) % count
+def ring_start(linked, points, along, settings):
+    """Where to open a scan of the full circle: after a gap, or else where its straight runs have their first cut."""
+    for n in range(len(linked)):
         if not linked[n]:
-            return after
-        step = math.hypot(points[after, 0] - points[n, 0], points[after, 1] - points[n, 1])
-        if step > widest:
-            widest, start = step, after
-    linked[(start - 1) % count] = False
-    return start
+            return (n + 1) % len(linked)
+    sums = np.empty((len(linked) + 1, 6))
+    running_sums(points, along, settings[ROUGHNESS] ** 2, sums)
+    cuts = straight_runs(sums, linked, settings[SPLIT_COST])
+    return cuts[1] % len(linked)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -186,7 +182,7 @@ def cut_and_fit(ranges, bearings, settings):
         full = 2.0 * math.pi - span <= _CLOSED * span / (len(order) - 1)
     linked = link_beams(ranges, bearings, order, place, points, along, full, settings)
     if full and count > 1:
-        start = ring_start(linked, points)
+        start = ring_start(linked, points, along, settings)
         linked, place = np.roll(linked, -start), np.roll(place, -start)
         turned = np.arange(count)
         turned = (turned + start) % count
