@@ -1,8 +1,19 @@
-"""Scan to sightings: detectors of landmarks in laser scans."""
+"""What is found in laser scans: sightings of landmarks, and pieces of contour."""
 
 from kalmap.perception.build import detector_from_config
+from kalmap.perception.contours import CutConfig, EndKind, Pieces, cut_scan, cut_settings
 from kalmap.perception.detector import Detector
 from kalmap.perception.poles import ReflectorDetector
 from kalmap.perception.trees import TreeDetector
 
-__all__ = ["Detector", "ReflectorDetector", "TreeDetector", "detector_from_config"]
+__all__ = [
+    "CutConfig",
+    "Detector",
+    "EndKind",
+    "Pieces",
+    "ReflectorDetector",
+    "TreeDetector",
+    "cut_scan",
+    "cut_settings",
+    "detector_from_config",
+]

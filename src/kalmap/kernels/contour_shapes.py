@@ -1,0 +1,115 @@
+"""Straight runs of a scan made into pieces: a line each, or a conic or cubic where that explains several better."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from kalmap.kernels.contour_curves import fit_polynomial, is_sound, weighted_squares
+from kalmap.kernels.contour_cut import line_cost
+from kalmap.kernels.contour_fit import fit_line
+
+_CONIC_PRICE, _CUBIC_PRICE = 20.0, 35.0  # chi-square that three and seven more coefficients must save
+_LEAST_CONIC, _LEAST_CUBIC = 7, 11  # points
+_MOST_RUNS = 10  # in one curve
+_JOINT = math.radians(60.0)  # most that a contour turns from one run to the next
+_BENT = 2.0  # chi-square per degree of freedom up to which a straight run is left straight
+_MARGIN = 0.05  # m beyond its ends in which a curve must still be sound
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run_line(sums, a, b, points):
+    """The line through points a to b - 1: a point on it and its unit direction, the way that the points go."""
+    w = sums[b, 0] - sums[a, 0]
+    x, y = (sums[b, 1] - sums[a, 1]) / w, (sums[b, 2] - sums[a, 2]) / w
+    xx = sums[b, 3] - sums[a, 3] - w * x * x
+    xy = sums[b, 4] - sums[a, 4] - w * x * y
+    yy = sums[b, 5] - sums[a, 5] - w * y * y
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    tx, ty = math.cos(angle), math.sin(angle)
+    if tx * (points[b - 1, 0] - points[a, 0]) + ty * (points[b - 1, 1] - points[a, 1]) < 0.0:
+        tx, ty = -tx, -ty
+    return points[0, 0] + x, points[0, 1] + y, tx, ty
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def may_join(sums, a, b, c, points, noise):
+    """Whether the runs a to b - 1 and b to c - 1 may be chords of one smooth contour: no sharp turn, and no step."""
+    ax, ay, atx, aty = run_line(sums, a, b, points)
+    bx, by, btx, bty = run_line(sums, b, c, points)
+    if b - a > 2 and c - b > 2 and atx * btx + aty * bty < math.cos(_JOINT):
+        return False
+    spacing = math.hypot(points[b, 0] - points[b - 1, 0], points[b, 1] - points[b - 1, 1])
+    slack = spacing * math.sin(_JOINT) + 3.0 * math.sqrt(noise[b])
+    ahead = abs(atx * (points[b, 1] - ay) - aty * (points[b, 0] - ax))
+    behind = abs(btx * (points[b - 1, 1] - by) - bty * (points[b - 1, 0] - bx))
+    return (b - a < 3 or ahead <= slack) and (c - b < 3 or behind <= slack)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def try_curve(points, rays, along, across, rough, limit, highest, coef, cov, origin):
+    """The lowest order from 2 to `highest` whose curve costs less than `limit` and is sound, 1 if none.
+
+    Returns order, scale and the excess variance; fills coef, cov and origin.
+    """
+    count = len(points)
+    residuals = np.empty(count)
+    sigma = math.sqrt(along.max() + rough)
+    for degree in (2, 3):
+        if degree > highest or count < (_LEAST_CONIC if degree == 2 else _LEAST_CUBIC):
+            break
+        left = limit - (_CONIC_PRICE if degree == 2 else _CUBIC_PRICE)
+        if left <= 0.0:
+            break
+        scale, _chi, excess, exists = fit_polynomial(
+            points, rays, along, across, degree, left, rough, coef, cov, origin, residuals
+        )
+        fits = exists and weighted_squares(residuals, along, rough) < left
+        if fits and is_sound(coef, origin, scale, points, sigma, _MARGIN):
+            return degree, scale, excess
+    return 1, 1.0, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price, highest, coef, cov, origin):
+    """The piece that begins with run number `run`: fills coef, cov, origin; returns the run after it, order, scale m
+    and excess variance m^2.
+
+    Runs are added as long as a conic or a cubic through them all is cheaper than a line each.
+    """
+    a, most = cuts[run], len(cuts) - 1
+    b = cuts[run + 1]
+    after, order, scale, excess = run + 1, 1, 1.0, 0.0
+    tried_coef, tried_cov, tried_origin = np.empty(10), np.empty((10, 10)), np.empty(2)
+    lines, failed = 0.0, 0
+    for j in range(run, min(run + _MOST_RUNS, most) if highest > 1 else run):
+        end = cuts[j + 1]
+        if j > run and not (linked[cuts[j] - 1] and may_join(sums, cuts[j - 1], cuts[j], end, points, along)):
+            break
+        own = line_cost(sums, cuts[j], end)
+        lines += own + (price if j > run else 0.0)
+        freedom = max(1, end - a - 2)
+        if j == run and own < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom):
+            continue
+        degree, size, surplus = try_curve(
+            points[a:end],
+            rays[a:end],
+            along[a:end],
+            across[a:end],
+            rough,
+            lines,
+            highest,
+            tried_coef,
+            tried_cov,
+            tried_origin,
+        )
+        if degree > 1:
+            after, order, scale, excess = j + 1, degree, size, surplus
+            coef[:], cov[:, :], origin[:] = tried_coef, tried_cov, tried_origin
+        elif end - a >= _LEAST_CONIC:
+            failed += 1
+            if failed > 1:
+                break
+    if order == 1:
+        scale, _chi, excess = fit_line(points[a:b], rays[a:b], along[a:b], across[a:b], coef, cov, origin)
+    return after, order, scale, excess
