@@ -10,9 +10,11 @@ import math
 import numpy as np
 from numba import njit
 
-from kalmap.kernels.curves import distance_with_gradient
-from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE
-from kalmap.kernels.update import _apply_rows, _gather_rows
+from kalmap.kernels.implicit import project, signed_distance
+from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE, INVARIANT, JACOBIAN, NOT_POSITIVE, OK, RULE
+from kalmap.kernels.regression import left_jacobian, regress, square_root, weights
+from kalmap.kernels.sensing import sighting_block, to_twist
+from kalmap.kernels.update import apply_rows, gather_rows
 
 HIDDEN = -1  # out of view, or something stands before it
 OPEN = -2  # the scanner looks through where the sample is
@@ -56,7 +58,6 @@ def look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, o
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     cm, sm = math.cos(mount[2]), math.sin(mount[2])
-    slope = np.empty(2)
     count = 0
     for i in range(len(samples)):
         found[i] = HIDDEN
@@ -79,11 +80,11 @@ def look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, o
             if k < 0 or k == last:
                 continue
             last = k
-            value = distance_with_gradient(coef[k], origin[k], scale[k], x, y, slope)
-            if abs(value) < best and slope[0] * nx + slope[1] * ny > 0.7:
+            value, gx, gy = signed_distance(coef[k], origin[k, 0], origin[k, 1], scale[k], x, y)
+            if abs(value) < best and gx * nx + gy * ny > 0.7:
                 best = abs(value)
                 found[i], g[i] = k, value
-                gradient[i, 0], gradient[i, 1] = slope[0], slope[1]
+                gradient[i, 0], gradient[i, 1] = gx, gy
         if found[i] >= 0:
             count += 1
             continue
@@ -141,6 +142,63 @@ def fit_pose(pose, information, samples, normals, mount, bearings, ranges, piece
     return matched, squares / max(1, matched)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distance_at(setup, pose, sample, deviation, coef, ox, oy, scale):
+    """The signed distance with (pose, sample) deviated; in invariant coordinates by a twist about the robot."""
+    turn = pose[2]
+    if setup[INVARIANT] == 0.0:
+        turn += deviation[2]
+        dx, dy = sample[0] + deviation[3] - pose[0] - deviation[0], sample[1] + deviation[4] - pose[1] - deviation[1]
+    else:  # seen from the robot, only V' (xi_sample - xi_position) is left of the twist
+        s, v = left_jacobian(deviation[2])
+        ux, uy = deviation[3] - deviation[0], deviation[4] - deviation[1]
+        dx, dy = sample[0] + s * ux + v * uy - pose[0], sample[1] - v * ux + s * uy - pose[1]
+    cosine, sine = math.cos(turn), math.sin(turn)
+    return signed_distance(coef, ox, oy, scale, cosine * dx + sine * dy, cosine * dy - sine * dx)[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def regress_distances(setup, mean, packed, indices, piece, coef, origin, scale, matrices, distances, residuals):
+    """Regress the signed distances of M samples on their (pose, sample) blocks, all at the same prior.
+
+    indices: (M,) where the samples begin; piece: (M,) the curve of each. Writes matrices (M, 5) on the additive errors,
+    distances (M,) m as they are to be expected, residuals (M,) m^2: what the regression leaves. Returns a status code.
+    """
+    cov, root = np.empty((5, 5)), np.empty((5, 5))
+    points, deviation = np.empty((2, 5, 1)), np.empty(5)
+    offset, matrix, residual = np.empty(1), np.empty((1, 5)), np.empty((1, 1))
+    spread = weights(setup, 5)[0] if int(setup[RULE]) != JACOBIAN else 0.0
+    invariant = setup[INVARIANT] != 0.0
+    cosine, sine = math.cos(mean[2]), math.sin(mean[2])
+    for m in range(len(indices)):
+        k, sample = piece[m], mean[indices[m] : indices[m] + 2]
+        ox, oy = origin[k, 0], origin[k, 1]
+        dx, dy = sample[0] - mean[0], sample[1] - mean[1]
+        value, gx, gy = signed_distance(coef[k], ox, oy, scale[k], cosine * dx + sine * dy, cosine * dy - sine * dx)
+        if int(setup[RULE]) == JACOBIAN:
+            wx, wy = cosine * gx - sine * gy, sine * gx + cosine * gy
+            matrices[m, 0], matrices[m, 1], matrices[m, 2] = -wx, -wy, wx * dy - wy * dx
+            matrices[m, 3], matrices[m, 4] = wx, wy
+            distances[m], residuals[m] = value, 0.0
+            continue
+        sighting_block(packed, indices[m], cov)
+        if invariant:
+            to_twist(cov, dx, dy)
+        if not square_root(cov, 5, root):
+            return NOT_POSITIVE
+        for i in range(5):
+            for sign in range(2):
+                for q in range(5):
+                    deviation[q] = spread * root[q, i] if sign == 0 else -spread * root[q, i]
+                points[sign, i, 0] = _distance_at(setup, mean, sample, deviation, coef[k], ox, oy, scale[k]) - value
+        regress(setup, points[0], points[1], 5, 1, root, offset, matrix, residual, 0)
+        if invariant:
+            matrix[0, 2] += dy * matrix[0, 3] - dx * matrix[0, 4]
+        matrices[m] = matrix[0]
+        distances[m], residuals[m] = value + offset[0], residual[0, 0]
+    return OK
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _fill_scalar_rows(n, matrices, rows, work):
     """work[m, :n] = A_m P from the gathered rows of P: two a sample, then three of the pose."""
@@ -161,7 +219,7 @@ def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise
     lower triangle is read. left, right: work space of at least (2 M + 6, n). After an error nothing has been changed.
     """
     count = len(indices)
-    _gather_rows(packed, n, indices, left)
+    gather_rows(packed, n, indices, left)
     _fill_scalar_rows(n, matrices, left, right)
     left[count + 2, :n] = left[2 * count + 2, :n]
     root = np.zeros((count, count))
@@ -179,7 +237,7 @@ def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise
                 root[i, i] = math.sqrt(total)
             else:
                 root[i, j] = total / root[j, j]
-    return _apply_rows(setup, mean, packed, n, count, root, innovation, left, right)
+    return apply_rows(setup, mean, packed, n, count, root, innovation, left, right)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -191,21 +249,18 @@ def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, n
     faces the same way; where neighbouring beams are farther apart than two spacings nothing is known between them.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    slope = np.empty(2)
     count = 0
     for h in range(len(hits)):
         k = piece_of_hit[h]
         if k < 0:
             continue
-        x, y = hits[h, 0], hits[h, 1]
-        for _ in range(2):
-            value = distance_with_gradient(coef[k], origin[k], scale[k], x, y, slope)
-            x -= value * slope[0]
-            y -= value * slope[1]
-        distance_with_gradient(coef[k], origin[k], scale[k], x, y, slope)
+        x, y = project(coef[k], origin[k, 0], origin[k, 1], scale[k], hits[h, 0], hits[h, 1])
+        value, gx, gy = signed_distance(coef[k], origin[k, 0], origin[k, 1], scale[k], x, y)
+        if not abs(value) < 1e-3 or math.hypot(x - hits[h, 0], y - hits[h, 1]) > 0.2:
+            continue  # no foot on the curve
         near = (0.75 * spacing[k]) ** 2
         mx, my = pose[0] + c * x - s * y, pose[1] + s * x + c * y
-        nx, ny = c * slope[0] - s * slope[1], s * slope[0] + c * slope[1]
+        nx, ny = c * gx - s * gy, s * gx + c * gy
         covered = False
         for i in range(len(samples)):
             dx, dy = samples[i, 0] - mx, samples[i, 1] - my
@@ -216,7 +271,7 @@ def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, n
             if covered:
                 break
             dx, dy = new[i, 0] - x, new[i, 1] - y
-            covered = dx * dx + dy * dy < near and slope[0] * normal[i, 0] + slope[1] * normal[i, 1] > 0.5
+            covered = dx * dx + dy * dy < near and gx * normal[i, 0] + gy * normal[i, 1] > 0.5
         wide = 2.0 * spacing[k]
         alone = True
         for other in (h - 1, h + 1):
@@ -225,8 +280,8 @@ def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, n
         if covered or alone:
             continue
         new[count, 0], new[count, 1] = x, y
-        size = math.hypot(slope[0], slope[1])
-        normal[count, 0], normal[count, 1] = slope[0] / size, slope[1] / size
+        size = math.hypot(gx, gy)
+        normal[count, 0], normal[count, 1] = gx / size, gy / size
         piece[count] = k
         count += 1
     return count

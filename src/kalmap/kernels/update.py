@@ -46,7 +46,7 @@ def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residua
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gather_rows(packed, n, indices, rows):
+def gather_rows(packed, n, indices, rows):
     """Rows of P in one sweep: two for each landmark of `indices`, then three of the pose; (2 M + 3, >= n).
 
     Row by row of the triangle, so that what a row holds of all the columns wanted is fetched together.
@@ -76,7 +76,7 @@ def _gather_rows(packed, n, indices, rows):
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _fill_gain_rows(packed, n, indices, matrices, rows, work):
     """work[2 m + r, :n] = A_m P. rows: work space for the rows of P, at least (2 M + 3, n)."""
-    _gather_rows(packed, n, indices, rows)
+    gather_rows(packed, n, indices, rows)
     pose = 2 * len(indices)
     x_row, y_row, turn_row = rows[pose], rows[pose + 1], rows[pose + 2]
     for m in range(len(indices)):
@@ -163,7 +163,7 @@ def _correct_mean(setup, mean, n, correction, shift):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _apply_rows(setup, mean, packed, n, k, root, innovation, left, right):
+def apply_rows(setup, mean, packed, n, k, root, innovation, left, right):
     """Correct mean and covariance from the k rows A P in `right` and the root of S. Returns (status, NIS).
 
     left: its row k + 2 holds the heading's row of P. After an error nothing has been changed.
@@ -209,7 +209,7 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
     root = np.zeros((k, k))
     if not _innovation_root(indices, matrices, noises, right, root):
         return INNOVATION_NOT_POSITIVE, 0.0
-    return _apply_rows(setup, mean, packed, n, k, root, innovation, left, right)
+    return apply_rows(setup, mean, packed, n, k, root, innovation, left, right)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -220,7 +220,7 @@ def constrain_equal(setup, mean, packed, n, first, second, extent, left, right):
     noise-free constraint, for points. Then the covariance is singular in their difference until one is removed.
     left, right: as for `apply_frame` with one sighting more than two.
     """
-    _gather_rows(packed, n, np.array([first, second]), left)
+    gather_rows(packed, n, np.array([first, second]), left)
     for r in range(2):
         for i in range(n):
             right[r, i] = left[r, i] - left[2 + r, i]
@@ -236,7 +236,7 @@ def constrain_equal(setup, mean, packed, n, first, second, extent, left, right):
     root[1, 0] = s10 / root[0, 0]
     root[1, 1] = math.sqrt(s11 - root[1, 0] * root[1, 0])
     innovation = np.array([mean[second] - mean[first], mean[second + 1] - mean[first + 1]])
-    return _apply_rows(setup, mean, packed, n, 2, root, innovation, left, right)
+    return apply_rows(setup, mean, packed, n, 2, root, innovation, left, right)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -252,6 +252,8 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     update_distance, update_angle_deg: m and deg, how far the vehicle moves between two scans that are used.
     close_samples, close_distance: a local map is closed when it holds so many samples, or after so many metres.
     spacing: m between samples on a straight contour; it shrinks with curvature.
+    sigma_offset, sigma_askew_deg: m and deg, by how much a whole piece of one scan is off beyond its points' noise: the
+        scan is taken on the move, and surfaces reflect unevenly.
     """
 
     method: ContourMethod | None = None
@@ -260,6 +262,8 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     close_samples: Annotated[int, msgspec.Meta(ge=20, le=5_000)] = 300
     close_distance: Positive = 15.0
     spacing: Positive = 0.3
+    sigma_offset: NonNegative = 0.01
+    sigma_askew_deg: NonNegative = 0.3
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -1,0 +1,114 @@
+"""The frames of the closed maps as a sparse least-squares problem: what each map says of the next, and the loops."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from kalmap.geometry.angles import wrap
+from kalmap.geometry.se2 import compose, rotate
+
+
+class Relation(msgspec.Struct, frozen=True):
+    """T_first_second (3,) between the frames of two closed maps, measured with its information (3, 3).
+
+    loop: whether it was found by laying maps over each other, and may be wrong.
+    """
+
+    first: int
+    second: int
+    pose: np.ndarray
+    information: np.ndarray
+    loop: bool = False
+
+
+class FrameGraph:
+    """Frames (n, 3) in the map; the first one is the map's own. Solved by Gauss-Newton."""
+
+    def __init__(self) -> None:
+        self.frames = np.zeros((1, 3))
+        self.relations: list[Relation] = []
+        self._covariance: np.ndarray | None = None
+
+    def append(self, step: np.ndarray, covariance: np.ndarray) -> None:
+        """A further frame, from what the last map says of its end."""
+        self.frames = np.concatenate([self.frames, compose(self.frames[-1], step)[None]])
+        count = len(self.frames)
+        self.relations.append(Relation(count - 2, count - 1, step.copy(), np.linalg.inv(covariance)))
+        self._covariance = None
+
+    def add(self, relation: Relation) -> None:
+        """A loop."""
+        self.relations.append(relation)
+        self._covariance = None
+
+    def solve(self, rounds: int = 10, tolerance: float = 1e-7) -> None:
+        """Move the frames to where the relations want them, loops weighed down by Cauchy's rule."""
+        for _ in range(rounds):
+            information, right = self._normal()
+            step = np.linalg.solve(information, right).reshape(-1, 3)
+            self.frames[1:] += step
+            self.frames[:, 2] = wrap(self.frames[:, 2])
+            if np.abs(step).max(initial=0.0) < tolerance:
+                break
+        self._covariance = None
+
+    def _linearised(self) -> tuple[np.ndarray, ...]:
+        first = np.array([r.first for r in self.relations])
+        second = np.array([r.second for r in self.relations])
+        measured = np.array([r.pose for r in self.relations])
+        information = np.array([r.information for r in self.relations])
+        a, b = self.frames[first], self.frames[second]
+        way = rotate(-a[:, 2], b[:, :2] - a[:, :2])
+        residual = np.column_stack([way - measured[:, :2], wrap(b[:, 2] - a[:, 2] - measured[:, 2])])
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        by_second = np.zeros((len(first), 3, 3))
+        by_second[:, 0, 0], by_second[:, 0, 1], by_second[:, 1, 0], by_second[:, 1, 1] = c, s, -s, c
+        by_second[:, 2, 2] = 1.0
+        by_first = -by_second
+        by_first[:, 0, 2], by_first[:, 1, 2] = way[:, 1], -way[:, 0]
+        return first, second, residual, information, by_first, by_second
+
+    def distances(self) -> np.ndarray:
+        """(R,) squared Mahalanobis distance of every relation from where the frames are."""
+        _, _, residual, information, _, _ = self._linearised()
+        return np.einsum("ri,rij,rj->r", residual, information, residual)
+
+    def _normal(self) -> tuple[np.ndarray, np.ndarray]:
+        first, second, residual, information, by_first, by_second = self._linearised()
+        squared = np.einsum("ri,rij,rj->r", residual, information, residual)
+        loop = np.array([r.loop for r in self.relations])
+        weight = np.where(loop, 1.0 / (1.0 + squared / 12.0), 1.0)
+        weighed = information * weight[:, None, None]
+        count = 3 * len(self.frames)
+        matrix, right = np.zeros((count, count)), np.zeros(count)
+        offsets = np.arange(3)
+        for p, by_p in ((first, by_first), (second, by_second)):
+            rows = 3 * p[:, None] + offsets
+            half = np.swapaxes(by_p, 1, 2) @ weighed
+            np.subtract.at(right, rows, np.einsum("rij,rj->ri", half, residual))
+            for q, by_q in ((first, by_first), (second, by_second)):
+                columns = 3 * q[:, None] + offsets
+                np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), half @ by_q)
+        return matrix[3:, 3:], right[3:]
+
+    def covariance(self) -> np.ndarray:
+        """(3 n, 3 n) of all frames; the first one is known."""
+        if self._covariance is None:
+            count = 3 * len(self.frames)
+            self._covariance = np.zeros((count, count))
+            if count > 3:
+                self._covariance[3:, 3:] = np.linalg.inv(self._normal()[0])
+        return self._covariance
+
+    def between(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
+        """T_first_second (3,) as it is thought to be, and its covariance (3, 3)."""
+        a, b = self.frames[first], self.frames[second]
+        way = rotate(-a[2], b[:2] - a[:2])
+        c, s = np.cos(a[2]), np.sin(a[2])
+        design = np.zeros((3, 6))
+        design[:2, :2], design[:2, 3:5] = [[-c, -s], [s, -c]], [[c, s], [-s, c]]
+        design[0, 2], design[1, 2], design[2, 2], design[2, 5] = way[1], -way[0], -1.0, 1.0
+        entries = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
+        block = self.covariance()[np.ix_(entries, entries)]
+        return np.array([way[0], way[1], float(wrap(b[2] - a[2]))]), design @ block @ design.T

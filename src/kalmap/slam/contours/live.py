@@ -1,0 +1,245 @@
+"""The local map that a drive is in: pose and contour samples as one Gaussian, corrected by every scan that is used."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from kalmap.gaussian import Belief, Lineariser, NotPositiveError
+from kalmap.geometry.angles import wrap
+from kalmap.geometry.se2 import rotate
+from kalmap.kernels import contour as kernel
+from kalmap.kernels.implicit import distance_rows
+from kalmap.kernels.layout import OK
+from kalmap.models import RangeBearing
+from kalmap.models.motion import BuiltInMotion
+from kalmap.perception.contours import CutConfig, Pieces, cut_scan
+from kalmap.records import ContourConfig, Odometry, Scan, SensorConfig
+from kalmap.slam.engines import CompiledEngine
+
+ROUNDS = 15  # of the pose's fit to a scan, at most
+FIRST_LIMIT, LAST_LIMIT = 0.5, 0.15  # m, how far from a curve a sample may lie in the first round and in the last
+OPEN_SCANS = 3  # scans in a row that look through a sample before it is retired
+OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
+
+
+class Rules(msgspec.Struct, frozen=True):
+    """What every local map of a drive works by."""
+
+    engine: CompiledEngine
+    sensor: SensorConfig
+    contour: ContourConfig
+    cut: CutConfig
+
+    @property
+    def mount(self) -> np.ndarray:
+        """(3,) the scanner on the vehicle."""
+        sensor = self.sensor
+        return np.array([sensor.mount_x, sensor.mount_y, math.radians(sensor.mount_heading_deg)])
+
+
+def rules_of(
+    motion: BuiltInMotion,
+    lineariser: Lineariser,
+    coordinates: str,
+    sensor: SensorConfig,
+    contour: ContourConfig,
+) -> Rules:
+    """The rules by which local maps are made, from the settings of a run."""
+    engine = CompiledEngine(motion, RangeBearing(), lineariser, coordinates == "invariant", False)
+    return Rules(engine, sensor, contour, CutConfig())
+
+
+class Seen(msgspec.Struct, frozen=True):
+    """A scan, cut and ready to be laid beside samples: the pieces, and what the kernels read of the beams."""
+
+    scan: Scan
+    pieces: Pieces
+    bearings: np.ndarray
+    ranges: np.ndarray
+    piece_of_beam: np.ndarray
+
+
+def prepare(scan: Scan, rules: Rules) -> Seen:
+    """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep."""
+    pieces = cut_scan(scan, rules.sensor, rules.cut)
+    piece_of_beam = np.full(len(scan.bearings), -1, dtype=np.int64)
+    piece_of_beam[pieces.beam] = pieces.piece
+    bearings = np.ascontiguousarray(wrap(np.asarray(scan.bearings, dtype=float)))
+    ranges = np.asarray(scan.ranges, dtype=float)
+    ranges = np.where(ranges > rules.sensor.min_range, ranges, np.inf)  # NaN and zero too: nothing came back
+    order = np.argsort(bearings, kind="stable")
+    return Seen(scan, pieces, bearings[order], ranges[order], piece_of_beam[order])
+
+
+class LiveMap:
+    """One local map in the making. Its frame is the vehicle's pose at its start, which it knows exactly.
+
+    normals: (N, 2) of the samples, towards the free side. sightings, open: (N,) scans that corrected each, and scans in
+    a row that looked through it. length: m driven. nis, used: of the last scan.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self.belief = Belief(np.zeros(3), np.zeros((3, 3)))
+        self._since = Belief(np.zeros(3), np.zeros((3, 3)))
+        self.normals = np.zeros((0, 2))
+        self.sightings = np.zeros(0, dtype=np.int64)
+        self.open = np.zeros(0, dtype=np.int64)
+        self.length = 0.0
+        self.nis, self.used = float("nan"), 0
+
+    @property
+    def count(self) -> int:
+        """How many samples the map holds."""
+        return len(self.normals)
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(3,) in the local frame; a copy."""
+        return self.belief.mean[:3].copy()
+
+    @property
+    def samples(self) -> np.ndarray:
+        """(N, 2) m; a copy."""
+        robot = self.belief.robot
+        return self.belief.mean[robot : self.belief.n].reshape(-1, 2).copy()
+
+    def predict(self, event: Odometry) -> None:
+        """Odometry: equations (5) and (6)."""
+        before = self.belief.mean[:2].copy()
+        self.rules.engine.predict(self.belief, event)
+        self.rules.engine.predict(self._since, event)
+        self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
+
+    def observe(self, seen: Seen) -> None:
+        """A scan: correct by the samples that it shows, found samples where it shows more, retire what is gone."""
+        self.nis, self.used = float("nan"), 0
+        if self.count and len(seen.pieces):
+            self._correct(seen)
+        if len(seen.pieces):
+            self._found(seen)
+        self._since = Belief(self.belief.mean[:3], np.zeros((3, 3)))
+        self._retire()
+
+    def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Where a scan fits the samples best. prior: (3, 3) covariance of `pose`.
+
+        Returns the pose (3,), what became of each sample (N,) (its piece, or HIDDEN, OPEN, ASIDE), and how many
+        were found.
+        """
+        fitted, information = pose.copy(), np.linalg.inv(prior + np.diag([1e-6, 1e-6, 1e-7]))
+        found, distances = np.empty(self.count, dtype=np.int64), np.empty(self.count)
+        pieces = seen.pieces
+        number, _ = kernel.fit_pose(
+            fitted, information, self.samples, self.normals, self.rules.mount, seen.bearings, seen.ranges,
+            seen.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, pieces.sigma, self.rules.sensor.max_range,
+            np.array([FIRST_LIMIT, LAST_LIMIT]), ROUNDS, found, distances, np.empty((self.count, 2)),
+        )  # fmt: skip
+        return fitted, found, number
+
+    def _correct(self, seen: Seen) -> None:
+        """Equations (7) to (11), with the distances' derivatives taken where the scan fits the samples."""
+        belief, pieces, engine = self.belief, seen.pieces, self.rules.engine
+        fitted, found, number = self.fit(seen, belief.mean[:3], self._since.robot_covariance()[:3, :3])
+        self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
+        if not number:
+            return
+        rows = np.flatnonzero(found >= 0)
+        indices, piece = belief.robot + 2 * rows, found[rows]
+        belief.flush()
+        at = belief.mean
+        if not engine.setup[kernel.RULE]:  # a Jacobian is taken where the scan fits best, sigma points about the mean
+            at = belief.mean.copy()
+            at[:3] = fitted
+        matrices, distances = np.empty((len(rows), 5)), np.empty(len(rows))
+        residuals = np.empty(len(rows))
+        status = kernel.regress_distances(
+            engine.setup, at, belief.packed, indices, piece, pieces.coef, pieces.origin, pieces.scale, matrices,
+            distances, residuals,
+        )  # fmt: skip
+        moved = belief.mean[:3] - at[:3]
+        moved[2] = wrap(moved[2])
+        innovation = -distances - matrices[:, :3] @ moved
+        noise = self._noise(pieces, piece, _turned_back(at, belief.mean[indices[:, None] + np.arange(2)]))
+        excess = np.maximum(0.0, (distances / OUTLIER) ** 2 - np.diagonal(noise)) + residuals
+        noise[np.diag_indices(len(rows))] += excess
+        left, right = belief.work(2 * len(rows))
+        if status == OK:
+            status, self.nis = kernel.apply_distances(
+                engine.setup, belief.mean, belief.packed, belief.n, indices, matrices, innovation, noise, left, right
+            )
+        if status != OK:
+            raise NotPositiveError("the covariance of a local map is not positive definite")
+        self.used = len(rows)
+        self.sightings[rows] += 1
+
+    def _noise(self, pieces: Pieces, piece: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(M, M) m^2, covariance of the distances of `points` (M, 2), in the robot's frame, from their curves.
+
+        Points on one curve share its uncertainty; each has the contour's roughness of its own. A scan is not quite
+        what the curves' own covariance says: it is taken while the vehicle moves, and walls reflect unevenly.
+        """
+        noise = np.zeros((len(points), len(points)))
+        settings = self.rules.contour
+        for k in np.unique(piece):
+            at = np.flatnonzero(piece == k)
+            rows = np.empty((len(at), 10))
+            ox, oy = pieces.origin[k]
+            distance_rows(pieces.coef[k], ox, oy, pieces.scale[k], points[at], rows)
+            along = points[at] - pieces.origin[k]
+            lever = along @ (pieces.ends[k, 1] - pieces.ends[k, 0]) / max(1e-9, pieces.lengths[k])
+            block = rows @ pieces.cov[k] @ rows.T + settings.sigma_offset**2
+            block += math.radians(settings.sigma_askew_deg) ** 2 * np.outer(lever, lever)
+            block[np.diag_indices(len(at))] += pieces.sigma[k] ** 2
+            noise[np.ix_(at, at)] = block
+        return noise
+
+    def _found(self, seen: Seen) -> None:
+        """New samples where the scan shows contour that no sample stands for."""
+        belief, pieces = self.belief, seen.pieces
+        spacing = np.minimum(self.rules.contour.spacing, _spacing_by_bend(pieces))
+        hits = len(pieces.points)
+        new, normal, piece = np.empty((hits, 2)), np.empty((hits, 2)), np.empty(hits, dtype=np.int64)
+        count = kernel.uncovered(
+            belief.mean[:3], pieces.points, pieces.piece, pieces.coef, pieces.origin, pieces.scale, spacing,
+            self.samples, self.normals, new, normal, piece,
+        )  # fmt: skip
+        if not count:
+            return
+        new, normal, piece = new[:count], normal[:count], piece[:count]
+        belief.flush()
+        belief.reserve(belief.n + 2 * count)
+        noise = self._noise(pieces, piece, new)
+        belief.n = kernel.append_samples(belief.mean, belief.packed, belief.n, new, normal, noise)
+        self.normals = np.concatenate([self.normals, rotate(belief.mean[2], normal)])
+        self.sightings = np.concatenate([self.sightings, np.ones(count, dtype=np.int64)])
+        self.open = np.concatenate([self.open, np.zeros(count, dtype=np.int64)])
+
+    def _retire(self) -> None:
+        """Marginalise out the samples that scans look through: what stood there is gone, or never stood still."""
+        gone = np.flatnonzero((self.open >= OPEN_SCANS) & (self.open > self.sightings))
+        for row in gone[::-1]:
+            self.belief.remove(self.belief.robot + 2 * int(row), 2)
+        self.normals = np.delete(self.normals, gone, axis=0)
+        self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
+
+
+def _turned_back(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(M, 2) points of the map in the robot's frame."""
+    return np.ascontiguousarray(rotate(-pose[2], points - pose[:2]))
+
+
+SAGITTA = 0.01
+"""m, how far a contour may bend away from the line between two samples."""
+
+
+def _spacing_by_bend(pieces: Pieces) -> np.ndarray:
+    """(K,) m: samples are so far apart that the contour between them is off their chord by `SAGITTA`."""
+    chords = np.hypot(*(pieces.ends[:, 1] - pieces.ends[:, 0]).T)
+    # of an arc of length l over a chord c, the radius is about sqrt(l^3 / (24 (l - c)))
+    excess = np.maximum(pieces.lengths - chords, 1e-9)
+    radius = np.sqrt(pieces.lengths**3 / (24.0 * excess))
+    return np.maximum(0.05, np.sqrt(8.0 * SAGITTA * np.maximum(radius, 0.03)))
