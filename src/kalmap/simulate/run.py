@@ -12,6 +12,8 @@ import numpy as np
 
 from kalmap.records import Event, Log, Odometry, Reference, Scan, Sightings, Skipped
 from kalmap.simulate.drive import Drive, drive
+from kalmap.simulate.floor import FloorWorld
+from kalmap.simulate.floor_run import simulate_floor
 from kalmap.simulate.movers import mover_tracks
 from kalmap.simulate.scans import scans_of
 from kalmap.simulate.sightings import sightings_of
@@ -19,7 +21,7 @@ from kalmap.simulate.streams import streams
 from kalmap.simulate.world import SCANNERS, World
 
 
-def simulate(world: World, seed: int) -> Log:
+def simulate(world: World | FloorWorld, seed: int) -> Log:
     """Drive through the world and write down what a vehicle with this noise would have logged.
 
     The log alternates one `Odometry` block (the control steps since the last look; speed m/s and steering
@@ -34,7 +36,11 @@ def simulate(world: World, seed: int) -> Log:
     The same world and seed give the same log. Every source of randomness has its own stream
     (`kalmap.simulate.streams`), so worlds that differ only in their sigmas, or in their clutter, share their
     random numbers. Raises `KalmapError` if the drive never arrives.
+
+    A floor is driven by other rules: see `kalmap.simulate.floor_run.simulate_floor`.
     """
+    if isinstance(world, FloorWorld):
+        return simulate_floor(world, seed)
     course = drive(world)
     drawn = streams(seed)
     controls = _noisy_controls(world, course, drawn["controls"])
