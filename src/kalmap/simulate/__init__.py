@@ -20,6 +20,13 @@ from kalmap.simulate.courses import (
     wide_world,
 )
 from kalmap.simulate.disturb import with_clutter
+from kalmap.simulate.disturb_scans import (
+    with_bad_ranges,
+    with_beams,
+    with_clock_jump,
+    without_odometry,
+    without_scans,
+)
 from kalmap.simulate.drive import Drive, drive
 from kalmap.simulate.floor import FloorWorld
 from kalmap.simulate.floor_drive import FloorDrive, floor_drive
@@ -40,7 +47,12 @@ from kalmap.simulate.set_worlds import (
 from kalmap.simulate.world import World
 
 __all__ = [
+    "with_bad_ranges",
+    "with_beams",
+    "with_clock_jump",
     "with_clutter",
+    "without_odometry",
+    "without_scans",
     "SICK",
     "SICK_180",
     "URG",
