@@ -12,8 +12,10 @@ import numpy as np
 from kalmap.data import open_log, read_map
 from kalmap.records import ConfigError, Log, LogError
 from kalmap.simulate import (
+    FloorWorld,
     World,
     bailey_world,
+    rooms_world,
     simulate,
     with_clutter,
     world_by_name,
@@ -40,9 +42,10 @@ def bailey_map(name: str) -> tuple[Any, Any]:
     return loaded.landmarks, loaded.waypoints
 
 
-def find_world(text: str, overrides: dict[str, Any]) -> World | None:
+def find_world(text: str, overrides: dict[str, Any]) -> World | FloorWorld | None:
     """The world of that name or in that map file, with its `world.*` settings; None if LOG is a log."""
     path = Path(text)
+    world: World | FloorWorld | None
     if path.exists():
         world = _world_of_map(path)
         if world is None and overrides:
@@ -65,8 +68,10 @@ def _world_of_map(path: Path) -> World | None:
     return bailey_world(loaded.landmarks, loaded.waypoints, name=path.stem)
 
 
-def _changed(world: World, overrides: dict[str, Any]) -> World:
+def _changed(world: World | FloorWorld, overrides: dict[str, Any]) -> World | FloorWorld:
     overrides = dict(overrides)
+    if isinstance(world, FloorWorld):
+        return _changed_floor(world, overrides)
     drawn = {key: overrides.pop(key) for key in ("random_landmarks", "area", "map_seed") if key in overrides}
     if drawn:
         world = _redrawn(world, **drawn)
@@ -75,14 +80,52 @@ def _changed(world: World, overrides: dict[str, Any]) -> World:
     for key, value in overrides.items():
         if key not in known:
             raise ConfigError(f"world.{key}: no such setting; there are {', '.join(sorted(known | _DRAWN))}")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ConfigError(f"world.{key}: expected a number, got {value!r}")
-        if isinstance(getattr(world, key), int) and not isinstance(value, int):
-            raise ConfigError(f"world.{key}: expected a whole number, got {value!r}")
+        _check_number(key, getattr(world, key), value)
     return msgspec.structs.replace(world, **overrides)
 
 
+def _check_number(key: str, before: Any, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f"world.{key}: expected a number, got {value!r}")
+    if isinstance(before, int) and not isinstance(value, int):
+        raise ConfigError(f"world.{key}: expected a whole number, got {value!r}")
+
+
 _DRAWN = {"random_landmarks", "area", "map_seed"}
+
+
+def _changed_floor(world: FloorWorld, overrides: dict[str, Any]) -> FloorWorld:
+    """The floor with other numbers; and another plan, if it is one of those that are drawn (`rooms-<N>`)."""
+    kinds = {
+        field: type(getattr(world, field))
+        for field in world.__struct_fields__
+        if field != "name" and isinstance(getattr(world, field), (bool, int, float, str))
+    }
+    if "map_seed" in overrides:
+        world = _redrawn_floor(world, overrides.pop("map_seed"))
+    for key, value in overrides.items():
+        if key not in kinds:
+            raise ConfigError(
+                f"world.{key}: no such setting; there are {', '.join(sorted([*kinds, 'map_seed']))}"
+            )
+        if kinds[key] in (bool, str):
+            if not isinstance(value, kinds[key]):
+                raise ConfigError(f"world.{key}: expected {_WANTED[kinds[key]]}, got {value!r}")
+        else:
+            _check_number(key, getattr(world, key), value)
+    return msgspec.structs.replace(world, **overrides)
+
+
+_WANTED = {bool: "true or false", str: "a name"}
+
+
+def _redrawn_floor(world: FloorWorld, map_seed: Any) -> FloorWorld:
+    kind, *numbers = world.name.split("-")
+    if kind != "rooms":
+        raise ConfigError(f"world.map_seed: the plan of {world.name} is fixed; rooms-<N> has many")
+    if not isinstance(map_seed, int) or isinstance(map_seed, bool) or map_seed < 0:
+        raise ConfigError("world.map_seed: expected a whole number, 0 or more")
+    return rooms_world(int(numbers[0]), map_seed)
 
 
 def _redrawn(world: World, random_landmarks: Any = None, area: Any = None, map_seed: Any = 1) -> World:

@@ -27,6 +27,9 @@ from kalmap.simulate.courses import (
     same_world,
     wide_world,
 )
+from kalmap.simulate.floor import FloorWorld
+from kalmap.simulate.floors import crowd, floor_115, floor_170, hall, standstill, straight_corridor
+from kalmap.simulate.rooms import office, rooms_world
 from kalmap.simulate.set_worlds import (
     RFS_CLUTTER_AREA,
     cluttered_world,
@@ -75,20 +78,29 @@ _SINGLE: dict[str, Callable[[], World]] = {
     "faded-35": faded_world,
     "restless-35": restless_world,
 }
+_FLOORS: dict[str, Callable[[], FloorWorld]] = {
+    "floor-115": floor_115,
+    "floor-170": floor_170,
+    "office": office,
+    "hall": hall,
+    "corridor": straight_corridor,
+    "crowd": crowd,
+    "standstill": standstill,
+}
 
 
 def world_names() -> list[str]:
     """The names that `world_by_name` knows, the default first.
 
     `<N>` stands for a number: of features, of movers in `djnn-<N>`, of false sightings a frame in `clutter-<N>` and
-    `phd-<N>`.
+    `phd-<N>`, of rooms in `rooms-<N>`.
     """
     plain = ["course-35", "course-70", "bailey-35", "bailey-70", *(f"{kind}-<N>" for kind in _KINDS)]
     some = ["djnn-10", "djnn-50", "clutter-5", "phd-1", "phd-2", "phd-3"]
-    return [*plain, *some, *(f"{kind}-<N>" for kind in _DISTURBED), *_SINGLE]
+    return [*plain, *some, *(f"{kind}-<N>" for kind in _DISTURBED), *_SINGLE, *_FLOORS, "rooms-<N>"]
 
 
-def world_by_name(name: str, maps: Maps | None = None) -> World:
+def world_by_name(name: str, maps: Maps | None = None) -> World | FloorWorld:
     """The world of that name.
 
     `course-35` is the package's own course, `course-<N>` the same with N features; `course-70` also
@@ -107,11 +119,26 @@ def world_by_name(name: str, maps: Maps | None = None) -> World:
     and on the package's course `clutter-20-70` (twenty false sightings, P_D 0.7), `faded-35` (P_D falls with the
     range) and `restless-35` (5 of 35 features move).
 
+    Floors, driven by a robot with two wheels and a laser scanner, told in `floors` and `rooms`: `floor-115` and
+    `floor-170` (the kind of Sun et al. 2010: 115 m, two loops; 170 m, one loop; URG-04LX), `office` (SICK, 12 rooms,
+    300 m), `hall` (curved walls, round columns), `corridor` (nothing tells how far one is), `crowd` (40 people),
+    `standstill` (never moves); and `rooms-<N>`, a floor of N rooms, of which `rooms-<N>-<M>` is the M-th.
+
     maps: given a map's name ("example_webmap") returns its landmarks (N, 2) and way-points (K, 2);
         needed for the Bailey worlds only, whose map is not part of this package.
 
     Raises `ConfigError` for an unknown name, or a Bailey world without `maps`.
     """
+    if name in _FLOORS:
+        return _FLOORS[name]()
+    match = re.fullmatch(r"rooms-([0-9]{1,7})(?:-([0-9]{1,9}))?", name)
+    if match is not None:
+        return rooms_world(int(match[1]), int(match[2] or 1), name=name)
+    return landmark_world_by_name(name, maps)
+
+
+def landmark_world_by_name(name: str, maps: Maps | None = None) -> World:
+    """The same, for those that are no floors."""
     if name in ("bailey-35", "bailey-70"):
         if maps is None:
             raise ConfigError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 
 import msgspec
 import numpy as np
@@ -37,8 +38,8 @@ def drive(world: World) -> Drive:
     turn_per_sine = step / world.wheelbase
     pi, turn, atan2, sin, cos = math.pi, 2.0 * math.pi, math.atan2, math.sin, math.cos
     x = y = heading = steering = 0.0
-    steerings: list[float] = []
-    poses = [(x, y, heading)]
+    # arrays of numbers, not lists: a large lawn is driven in ten million steps
+    steerings, poses = array("d"), array("d", (x, y, heading))
     for number, (goal_x, goal_y) in enumerate(legs):
         left = _patience(world, math.hypot(goal_x - x, goal_y - y))
         dx, dy = goal_x - x, goal_y - y
@@ -53,9 +54,9 @@ def drive(world: World) -> Drive:
             y += step * sin(steering + heading)
             heading = (heading + turn_per_sine * sin(steering) + pi) % turn - pi
             steerings.append(steering)
-            poses.append((x, y, heading))
+            poses.extend((x, y, heading))
             dx, dy = goal_x - x, goal_y - y
-    return Drive(np.array(steerings), np.array(poses))
+    return Drive(np.frombuffer(steerings), np.frombuffer(poses).reshape(-1, 3))
 
 
 def _patience(world: World, distance: float) -> int:

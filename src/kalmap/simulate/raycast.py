@@ -23,6 +23,9 @@ class Scanner(msgspec.Struct, frozen=True, eq=False):
 SICK = Scanner(np.deg2rad(0.5 * np.arange(361) - 90.0), 80.0)
 """SICK LMS 2xx: 361 beams, 0.5 degrees apart, over the half plane ahead."""
 
+SICK_180 = Scanner(np.deg2rad(np.arange(180) - 90.0), 80.0)
+"""The same scanner in its coarse mode: 180 beams, one degree apart, as most logs of buildings have it."""
+
 URG = Scanner(2.0 * np.pi / 1024.0 * np.arange(-341, 342), 4.0)
 """Hokuyo URG-04LX: 683 of 1024 steps to the turn (0.35 degrees apart, 240 in all); beyond 4 m it is not specified."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 
 from kalmap.records import Event, Log, Odometry, Reference, Scan, Sightings, Skipped
 from kalmap.simulate.drive import Drive, drive
+from kalmap.simulate.floor import FloorWorld
+from kalmap.simulate.floor_run import simulate_floor
 from kalmap.simulate.movers import mover_tracks
 from kalmap.simulate.scans import scans_of
 from kalmap.simulate.sightings import sightings_of
@@ -19,7 +21,7 @@ from kalmap.simulate.streams import streams
 from kalmap.simulate.world import SCANNERS, World
 
 
-def simulate(world: World, seed: int) -> Log:
+def simulate(world: World | FloorWorld, seed: int) -> Log:
     """Drive through the world and write down what a vehicle with this noise would have logged.
 
     The log alternates one `Odometry` block (the control steps since the last look; speed m/s and steering
@@ -34,7 +36,11 @@ def simulate(world: World, seed: int) -> Log:
     The same world and seed give the same log. Every source of randomness has its own stream
     (`kalmap.simulate.streams`), so worlds that differ only in their sigmas, or in their clutter, share their
     random numbers. Raises `KalmapError` if the drive never arrives.
+
+    A floor is driven by other rules: see `kalmap.simulate.floor_run.simulate_floor`.
     """
+    if isinstance(world, FloorWorld):
+        return simulate_floor(world, seed)
     course = drive(world)
     drawn = streams(seed)
     controls = _noisy_controls(world, course, drawn["controls"])
@@ -43,7 +49,7 @@ def simulate(world: World, seed: int) -> Log:
         column[world.observe_every :: world.observe_every] for column in (course.poses, times)
     )
     tracks = mover_tracks(world, seed, len(looks))
-    frames: Sequence[Sightings | Scan]
+    frames: Iterable[Sightings | Scan]
     truth = None
     if world.scanner is None:
         frames = sightings_of(world, looks, look_times, tracks, drawn)
@@ -53,7 +59,7 @@ def simulate(world: World, seed: int) -> Log:
         name=world.name,
         source=f"world:{world.name} seed:{seed}",
         defaults=world.defaults(),
-        open=partial(_replay, tuple(_events(world, times, controls, frames))),
+        open=partial(_events, world.observe_every, world.dt, times, controls, frames),
         references=(_reference(world, course, times),),
         settings=_settings(world, seed),
         false_ids=True,
@@ -87,11 +93,6 @@ def _settings(world: World, seed: int) -> dict[str, Any]:
     return {"world": scalars, "seed": seed, "map_sha256": hashlib.sha256(drawn).hexdigest()}
 
 
-def _replay(events: tuple[Event, ...], skip: Callable[[Skipped], None] | None) -> Iterator[Event]:
-    """Hand the events out again; nothing in a simulated log can be bad, so `skip` is never called."""
-    return iter(events)
-
-
 def _noisy_controls(world: World, course: Drive, rng: np.random.Generator) -> np.ndarray:
     """(T, 2) speed m/s and steering rad, each sample with its own noise."""
     exact = np.column_stack([np.full(len(course.steering), float(world.speed)), course.steering])
@@ -100,15 +101,20 @@ def _noisy_controls(world: World, course: Drive, rng: np.random.Generator) -> np
 
 
 def _events(
-    world: World, times: np.ndarray, controls: np.ndarray, frames: Sequence[Sightings | Scan]
+    block: int,
+    dt: float,
+    times: np.ndarray,
+    controls: np.ndarray,
+    frames: Iterable[Sightings | Scan],
+    skip: Callable[[Skipped], None] | None,
 ) -> Iterator[Event]:
-    block = world.observe_every
-    durations = np.full(block, float(world.dt))
-    for number, frame in enumerate(frames):
-        first, end = number * block, (number + 1) * block
-        yield Odometry(frame.time, controls[first:end], durations, record=first + 1)
+    """The events, made as they are asked for; nothing in a simulated log can be bad, so `skip` is never called."""
+    durations = np.full(block, float(dt))
+    first = 0
+    for frame in frames:
+        yield Odometry(frame.time, controls[first : first + block], durations, record=first + 1)
         yield frame
-    first = len(frames) * block
+        first += block
     if first < len(controls):
         yield Odometry(
             float(times[-1]), controls[first:], durations[: len(controls) - first], record=first + 1

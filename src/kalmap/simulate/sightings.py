@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 
 from kalmap.geometry.angles import wrap
@@ -15,13 +17,30 @@ Streams = dict[str, np.random.Generator]
 # frame (M,), id (M,) and range m, bearing rad (M, 2) of sightings
 _Part = tuple[np.ndarray, np.ndarray, np.ndarray]
 
+
+class Frames(msgspec.Struct, frozen=True):
+    """The sightings of all frames one after the other; iterated, a `Sightings` for every frame, made on the way.
+
+    times: (F,) s. edges: (F + 1,) where each frame begins in ids (M,) and values (M, 2). Large worlds have millions.
+    """
+
+    times: np.ndarray
+    edges: np.ndarray
+    ids: np.ndarray
+    values: np.ndarray
+
+    def __iter__(self) -> Iterator[Sightings]:
+        for number, (time, (a, b)) in enumerate(zip(self.times, pairwise(self.edges), strict=True)):
+            yield Sightings(float(time), self.values[a:b], self.ids[a:b], record=number + 1)
+
+
 NO_LANDMARK = -1
 
 
 def sightings_of(
     world: World, looks: np.ndarray, times: np.ndarray, tracks: np.ndarray, drawn: Streams
-) -> list[Sightings]:
-    """One for every frame, in order; one may be empty.
+) -> Frames:
+    """What is sighted in every frame, in order; one may be empty.
 
     looks (F, 3): the sensor's poses at `times` (F,) s. tracks (F, K, 2): where the movers are. An id is the row of
     the landmark, also for a second sighting of it, and `NO_LANDMARK` for movers and clutter. Features alone come
@@ -37,10 +56,7 @@ def sightings_of(
         order = np.lexsort((drawn["order"].random(len(frame)), frame))
         frame, ids, values = frame[order], ids[order], values[order]
     edges = np.searchsorted(frame, np.arange(len(looks) + 1))
-    return [
-        Sightings(float(time), values[a:b], ids[a:b], record=number + 1)
-        for number, (time, (a, b)) in enumerate(zip(times, pairwise(edges), strict=True))
-    ]
+    return Frames(times, edges, ids, values)
 
 
 def _features(world: World, looks: np.ndarray, drawn: Streams) -> list[_Part]:

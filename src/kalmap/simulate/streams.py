@@ -17,6 +17,9 @@ _NAMES = (
     "clutter",
     "order",
     "beams",
+    "furniture",
+    "dropouts",
+    "mixed-pixels",
 )
 
 

@@ -15,7 +15,7 @@ from kalmap.evaluation import (
 )
 from kalmap.evaluation.trajectory import aligned
 from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig
-from kalmap.simulate import World, simulate
+from kalmap.simulate import FloorWorld, World, simulate
 from kalmap.slam import Outcome, run, slam_from_config
 from kalmap.study.recorded import Recorded
 from kalmap.study.set_course import JudgedCourse, course_metrics, judge_course
@@ -81,7 +81,7 @@ class Case(msgspec.Struct, frozen=True, eq=False):
         joint mean and covariance too, to set two filters side by side.
     """
 
-    world: World | Recorded
+    world: World | FloorWorld | Recorded
     method: Method
     seed: int
     association: AssociationConfig | None = None

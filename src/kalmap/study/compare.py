@@ -9,7 +9,7 @@ import msgspec
 
 from kalmap.evaluation import PairedTest
 from kalmap.records import AssociationConfig, ConfigError, KalmapError, Log, RunConfig
-from kalmap.simulate import World
+from kalmap.simulate import FloorWorld, World
 from kalmap.slam import Outcome, run, slam_from_config
 from kalmap.study.cases import Method, judge
 from kalmap.study.montecarlo import Progress, run_study
@@ -85,7 +85,7 @@ def _one(
 
 
 def compare_seeds(
-    world: World,
+    world: World | FloorWorld,
     methods: Sequence[Method],
     seeds: Iterable[int],
     *,

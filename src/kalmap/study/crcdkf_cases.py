@@ -11,7 +11,7 @@ import numpy as np
 from kalmap.data import read_map
 from kalmap.records import ConfigError, FilterConfig
 from kalmap.records.config import Use
-from kalmap.simulate import World, world_by_name
+from kalmap.simulate import World, landmark_world_by_name
 from kalmap.study.cases import Case, Method
 from kalmap.study.methods import parse_methods
 from kalmap.study.result import StudyResult
@@ -83,7 +83,7 @@ def make_plan(
         raise ConfigError("runs must be 1 or more, and full_runs between 0 and runs")
     if use not in ("joint", "sequential"):
         raise ConfigError(f"use: {use!r} is none of joint, sequential")
-    worlds = {s: world_by_name((_BAILEY if maps else _OWN)[s], maps) for s in SETS}
+    worlds = {s: landmark_world_by_name((_BAILEY if maps else _OWN)[s], maps) for s in SETS}
     if laps is not None:
         worlds = {s: msgspec.structs.replace(world, laps=laps) for s, world in worlds.items()}
     base = FilterConfig(use=use)

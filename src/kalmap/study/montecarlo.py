@@ -7,7 +7,7 @@ from itertools import product
 from pathlib import Path
 
 from kalmap.records import AssociationConfig, ConfigError
-from kalmap.simulate import World
+from kalmap.simulate import FloorWorld, World
 from kalmap.slam import check_method
 from kalmap.study.cases import Case, Method, RunRecord, run_case
 from kalmap.study.result import StudyResult
@@ -18,7 +18,7 @@ Progress = Callable[[int, int], None]
 
 
 def run_study(
-    worlds: Sequence[World],
+    worlds: Sequence[World | FloorWorld],
     methods: Sequence[Method],
     seeds: Iterable[int],
     *,
