@@ -38,10 +38,12 @@ def fit_curve(
     """The curve of lowest order that explains points (N, 2) m, which follow one another along a contour.
 
     along: (N,) variances, m^2. With rays (N, 2), unit vectors, `along` holds along them and `across`, or nothing,
-    square to them; without, in every direction. A conic or cubic counts only if it is sound: its gradient does not vanish
-    near the points, it passes between them and has no bend sharper than they show. Where nothing explains the points,
-    the order with the least chi-square plus twice the logarithm of N for each coefficient is taken, and `explained` is
-    false. A fit is meant between its end points and a few centimetres beyond.
+    square to them; without, in every direction.
+
+    A conic or cubic counts only if it is sound: its gradient does not vanish near the points, it passes between them
+    and has no bend sharper than they show. Where nothing explains the points, the order with the least chi-square plus
+    twice the logarithm of N for each coefficient is taken, and `explained` is false. A fit is meant between its end
+    points and a few centimetres beyond.
 
     Raises `ValueError` for shapes that do not match, fewer than two different points, numbers that are not finite and
     variances that are not positive.

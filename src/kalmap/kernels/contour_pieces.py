@@ -31,22 +31,29 @@ from kalmap.kernels.contour_layout import (
     VIEW,
 )
 from kalmap.kernels.contour_shapes import shape_run
-from kalmap.kernels.implicit import distance_rows, evaluate, project, signed_distance
+from kalmap.kernels.implicit import evaluate, monomials, project, signed_distance
 
 _ASIDE = 0.15  # m, most that a point may lie beside a piece to be its continuation
 _CLOSED = 2.5  # mean spacings of the beams that the two ends of a full circle may lie apart
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def locate_beams(ranges, bearings, order, settings):
-    """The beams of `order` that brought a range back: place in `order` (n,), points (n, 2), rays (n, 2), variances
-    along and across the beam (n,), all in the robot's frame."""
+def seen_beams(ranges, order, settings):
+    """Places in `order` of the beams that brought a range back."""
     count = 0
     place = np.empty(len(order), dtype=np.int64)
     for k in range(len(order)):
         if is_range(ranges[order[k]], settings):
             place[count] = k
             count += 1
+    return place[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def locate_beams(ranges, bearings, order, place, settings):
+    """Points (n, 2) and rays (n, 2) of the beams at `place` in `order`, and their variances along and across the beam
+    (n,), in the robot's frame."""
+    count = len(place)
     points, rays = np.empty((count, 2)), np.empty((count, 2))
     along, across = np.empty(count), np.empty(count)
     for n in range(count):
@@ -57,7 +64,16 @@ def locate_beams(ranges, bearings, order, settings):
         points[n, 1] = settings[MOUNT_Y] + r * rays[n, 1]
         along[n] = range_variance(r, settings)
         across[n] = (settings[SIGMA_BEAM] * r) ** 2
-    return place[:count], points, rays, along, across
+    return points, rays, along, across
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turned(ring, start):
+    """A closed ring (n,) opened before `start`."""
+    out = np.empty_like(ring)
+    for n in range(len(ring)):
+        out[n] = ring[(start + n) % len(ring)]
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -98,12 +114,16 @@ def goes_on(coef, cov, origin, scale, sigma, points, along, across, other):
     `_ASIDE`: a wall whose points have become too far apart to follow."""
     x, y = points[other, 0], points[other, 1]
     away, _gx, _gy = signed_distance(coef, origin[0], origin[1], scale, x, y)
-    row = np.empty((1, 10))
-    distance_rows(coef, origin[0], origin[1], scale, points[other : other + 1], row)
-    variance = sigma * sigma + max(along[other], across[other])
+    u, v = (x - origin[0]) / scale, (y - origin[1]) / scale
+    _p, by_u, by_v = evaluate(coef, u, v)
+    row = np.empty(10)
+    monomials(u, v, row)
+    own = 0.0
     for i in range(10):
         for j in range(10):
-            variance += row[0, i] * cov[i, j] * row[0, j]
+            own += row[i] * cov[i, j] * row[j]
+    variance = own * scale * scale / (by_u * by_u + by_v * by_v)
+    variance += sigma * sigma + max(along[other], across[other])
     return abs(away) <= min(_ASIDE, 3.0 * math.sqrt(variance))
 
 
@@ -163,47 +183,26 @@ def face_sensor(coef, origin, scale, x, y, settings):
     """Turn the signs so that p grows from the curve at (x, y) towards the sensor."""
     _p, a, b = evaluate(coef, (x - origin[0]) / scale, (y - origin[1]) / scale)
     if a * (settings[MOUNT_X] - x) + b * (settings[MOUNT_Y] - y) < 0.0:
-        coef *= -1.0
+        for i in range(len(coef)):
+            coef[i] = -coef[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cut_and_fit(ranges, bearings, settings):
-    """Pieces of contour in one scan: ranges (B,) m, bearings (B,) rad, settings as in `contour_layout`.
-
-    Returns coef (K, 10), cov (K, 10, 10), origin (K, 2), scale (K,), order (K,), sigma (K,), first and last beam (K,),
-    ends (K, 2, 2), kinds (K, 2), lengths (K,), points (N, 2), piece (N,) and beam (N,) of every point.
-    """
-    order = order_beams(bearings)
-    place, points, rays, along, across = locate_beams(ranges, bearings, order, settings)
-    count = len(place)
-    full = False
-    if len(order) > 2:
-        span = bearings[order[-1]] - bearings[order[0]]
-        full = 2.0 * math.pi - span <= _CLOSED * span / (len(order) - 1)
-    linked = link_beams(ranges, bearings, order, place, points, along, full, settings)
-    if full and count > 1:
-        start = ring_start(linked, points, along, settings)
-        linked, place = np.roll(linked, -start), np.roll(place, -start)
-        turned = np.arange(count)
-        turned = (turned + start) % count
-        points, rays, along, across = points[turned], rays[turned], along[turned], across[turned]
+def fit_runs(linked, points, rays, along, across, settings, coef, cov, origin, shape, bounds, ends, piece):
+    """Cut the points into straight runs and make pieces of them: fills the rows of coef (n, 10), cov (n, 10, 10),
+    origin (n, 2), shape (n, 4: scale, order, sigma, length), bounds (n, 2: first and last point), ends (n, 2, 2), and
+    piece (N,). Returns how many rows."""
     rough, price, highest = settings[ROUGHNESS] ** 2, settings[SPLIT_COST], int(settings[MAX_ORDER])
-    sums = np.empty((count + 1, 6))
+    sums = np.empty((len(points) + 1, 6))
     running_sums(points, along, rough, sums)
     cuts = straight_runs(sums, linked, price)
-    most = len(cuts) - 1
-    coef, cov = np.zeros((most, 10)), np.zeros((most, 10, 10))
-    origin, scale, sigma = np.zeros((most, 2)), np.ones(most), np.zeros(most)
-    degree, bounds = np.ones(most, dtype=np.int64), np.zeros((most, 2), dtype=np.int64)
-    ends, lengths = np.zeros((most, 2, 2)), np.zeros(most)
-    piece = np.full(count, -1, dtype=np.int64)
     k, run = 0, 0
-    while run < most:
+    while run < len(cuts) - 1:
         a = cuts[run]
         if cuts[run + 1] - a < 2:
             run += 1
             continue
-        run, degree[k], scale[k], excess = shape_run(
+        run, degree, scale, excess = shape_run(
             cuts,
             run,
             sums,
@@ -220,37 +219,66 @@ def cut_and_fit(ranges, bearings, settings):
             origin[k],
         )
         b = cuts[run]
-        lengths[k] = end_points(degree[k], coef[k], origin[k], scale[k], points[a:b], ends[k])
-        if b - a < settings[MIN_POINTS] or not lengths[k] >= settings[MIN_LENGTH]:
+        length = end_points(degree, coef[k], origin[k], scale, points[a:b], ends[k])
+        if b - a < settings[MIN_POINTS] or not length >= settings[MIN_LENGTH]:
             continue
-        face_sensor(coef[k], origin[k], scale[k], points[(a + b) // 2, 0], points[(a + b) // 2, 1], settings)
-        sigma[k] = math.sqrt(max(excess, rough))
+        middle = (a + b) // 2
+        face_sensor(coef[k], origin[k], scale, points[middle, 0], points[middle, 1], settings)
+        shape[k, 0], shape[k, 1], shape[k, 2] = scale, degree, math.sqrt(max(excess, rough))
+        shape[k, 3] = length
         bounds[k, 0], bounds[k, 1] = a, b - 1
-        piece[a:b] = k
+        for n in range(a, b):
+            piece[n] = k
         k += 1
-    kinds = np.zeros((k, 2), dtype=np.int64)
-    first, last = np.zeros(k, dtype=np.int64), np.zeros(k, dtype=np.int64)
-    for i in range(k):
+    return k
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_full_circle(bearings, order):
+    """Whether the first beam follows the last one as beams follow one another."""
+    if len(order) < 3:
+        return False
+    span = bearings[order[len(order) - 1]] - bearings[order[0]]
+    return 2.0 * math.pi - span <= _CLOSED * span / (len(order) - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cut_and_fit(ranges, bearings, settings):
+    """Pieces of contour in one scan: ranges (B,) m, bearings (B,) rad, settings as in `contour_layout`.
+
+    Returns coef (K, 10), cov (K, 10, 10), origin (K, 2), scale (K,), order (K,), sigma (K,), first and last beam (K,),
+    ends (K, 2, 2), kinds (K, 2), lengths (K,), points (N, 2), piece (N,) and beam (N,) of every point.
+    """
+    order = order_beams(bearings)
+    place = seen_beams(ranges, order, settings)
+    points, rays, along, across = locate_beams(ranges, bearings, order, place, settings)
+    count, full = len(place), is_full_circle(bearings, order)
+    linked = link_beams(ranges, bearings, order, place, points, along, full, settings)
+    if full and count > 1:
+        start = ring_start(linked, points, along, settings)
+        linked, place = turned(linked, start), turned(place, start)
+        points, rays, along, across = locate_beams(ranges, bearings, order, place, settings)
+    most = count // 2
+    coef, cov, origin = np.empty((most, 10)), np.empty((most, 10, 10)), np.empty((most, 2))
+    shape, ends = np.empty((most, 4)), np.empty((most, 2, 2))
+    bounds, piece = np.empty((most, 2), dtype=np.int64), np.full(count, -1, dtype=np.int64)
+    found = fit_runs(
+        linked, points, rays, along, across, settings, coef, cov, origin, shape, bounds, ends, piece
+    )
+    scale, sigma, lengths = shape[:found, 0].copy(), shape[:found, 2].copy(), shape[:found, 3].copy()
+    kinds, beams = np.empty((found, 2), dtype=np.int64), np.empty((2, found), dtype=np.int64)
+    degree, beam = np.empty(found, dtype=np.int64), np.empty(count, dtype=np.int64)
+    for n in range(count):
+        beam[n] = order[place[n]]
+    for k in range(found):
+        degree[k] = int(shape[k, 1])
         for side in range(2):
-            n, way = bounds[i, side], 2 * side - 1
-            onward = goes_on(
-                coef[i], cov[i], origin[i], scale[i], sigma[i], points, along, across, (n + way) % count
-            )
-            kinds[i, side] = end_kind(n, way, linked, piece, place, ranges, order, full, onward)
-        first[i], last[i] = order[place[bounds[i, 0]]], order[place[bounds[i, 1]]]
-    return (
-        coef[:k],
-        cov[:k],
-        origin[:k],
-        scale[:k],
-        degree[:k],
-        sigma[:k],
-        first,
-        last,
-        ends[:k],
-        kinds,
-        lengths[:k],
-        points,
-        piece,
-        order[place],
+            n, way = bounds[k, side], 2 * side - 1
+            other = (n + way) % count
+            onward = goes_on(coef[k], cov[k], origin[k], scale[k], sigma[k], points, along, across, other)
+            kinds[k, side] = end_kind(n, way, linked, piece, place, ranges, order, full, onward)
+            beams[side, k] = beam[n]
+    fits = coef[:found].copy(), cov[:found].copy(), origin[:found].copy()
+    return fits + (
+        (scale, degree, sigma, beams[0], beams[1], ends[:found].copy(), kinds, lengths, points, piece, beam)
     )

@@ -71,6 +71,16 @@ def try_curve(points, rays, along, across, rough, limit, highest, coef, cov, ori
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def copy_fit(coef, cov, origin, to_coef, to_cov, to_origin):
+    """Coefficients (10,), covariance (10, 10) and origin (2,) of one fit to the place of another."""
+    for i in range(10):
+        to_coef[i] = coef[i]
+        for j in range(10):
+            to_cov[i, j] = cov[i, j]
+    to_origin[0], to_origin[1] = origin[0], origin[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price, highest, coef, cov, origin):
     """The piece that begins with run number `run`: fills coef, cov, origin; returns the run after it, order, scale m
     and excess variance m^2.
@@ -105,7 +115,7 @@ def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price
         )
         if degree > 1:
             after, order, scale, excess = j + 1, degree, size, surplus
-            coef[:], cov[:, :], origin[:] = tried_coef, tried_cov, tried_origin
+            copy_fit(tried_coef, tried_cov, tried_origin, coef, cov, origin)
         elif end - a >= _LEAST_CONIC:
             failed += 1
             if failed > 1:
