@@ -22,6 +22,7 @@ from kalmap.evaluation.map_metrics import set_cutoffs
 from kalmap.evaluation.metrics import Metrics, Options, evaluate
 from kalmap.evaluation.owners import LandmarkScore, landmark_owners, score_landmarks
 from kalmap.evaluation.paired import PairedTest, paired_test
+from kalmap.evaluation.relations import RelationErrors, relation_errors, relation_metrics
 from kalmap.evaluation.set_course import SetCourse, seen_so_far, set_errors_over_time
 from kalmap.evaluation.sets import (
     CardinalityError,
@@ -62,6 +63,7 @@ __all__ = [
     "Ospa",
     "PairScore",
     "PairedTest",
+    "RelationErrors",
     "RelativeError",
     "SetCourse",
     "SetError",
@@ -85,6 +87,8 @@ __all__ = [
     "pose_error",
     "pose_nees",
     "position_errors",
+    "relation_errors",
+    "relation_metrics",
     "relative_errors",
     "relative_pose_error",
     "score_association",
