@@ -16,6 +16,7 @@ from kalmap.records.decisions import REASONS, Frame, Managed, Reason, Why
 from kalmap.records.errors import ConfigError, EstimationError, EventError, KalmapError, LogError
 from kalmap.records.estimate import NEW, SPURIOUS, Association, Estimate, Landmarks, Manifest, Trace
 from kalmap.records.events import Event, Fix, Odometry, Scan, Sightings
+from kalmap.records.grid import OccupancyGrid
 from kalmap.records.log import Log, Reference, Relations, SightingTruth, Skipped
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "Managed",
     "Manifest",
     "MotionConfig",
+    "OccupancyGrid",
     "Odometry",
     "PerceptionConfig",
     "Reason",
