@@ -16,6 +16,7 @@ from kalmap.evaluation.consistency import (
     pose_nees,
     share_inside,
 )
+from kalmap.evaluation.crispness import Crispness, MapError, crispness, loop_error, map_error
 from kalmap.evaluation.identities import sighting_identities
 from kalmap.evaluation.landmarks import MapScore, pair_by_id, pair_by_nearest, score_by_id, score_by_nearest
 from kalmap.evaluation.map_metrics import set_cutoffs
@@ -52,9 +53,11 @@ __all__ = [
     "AssociationScore",
     "CardinalityError",
     "Cola",
+    "Crispness",
     "ErrorSummary",
     "Gospa",
     "LandmarkScore",
+    "MapError",
     "MapScore",
     "Matched",
     "Metrics",
@@ -73,10 +76,13 @@ __all__ = [
     "cardinality_error",
     "chi2_band",
     "cola",
+    "crispness",
     "evaluate",
     "gospa",
     "heading_errors",
     "landmark_owners",
+    "loop_error",
+    "map_error",
     "match",
     "mean_nees",
     "nis_summary",

@@ -50,10 +50,8 @@ def occupancy_grid(
     firsts = np.concatenate([[0], np.cumsum([len(scan.ranges) for scan in sweeps.scans])]).astype(np.int64)
     ranges = np.concatenate([scan.ranges for scan in sweeps.scans]).astype(np.float64)
     bearings = np.concatenate([scan.bearings for scan in sweeps.scans]).astype(np.float64)
-    owners = np.repeat(np.arange(len(poses)), np.diff(firsts))
-    hit = (ranges >= min_range) & (ranges <= max_range) & np.isfinite(ranges)
-    ends = _ends(poses[owners[hit]], ranges[hit], bearings[hit])
-    origin, shape = _layout(np.concatenate([poses[:, :2], ends]), resolution, margin, most_cells)
+    places = np.concatenate([poses[:, :2], sweeps.points(min_range, max_range)])
+    origin, shape = _layout(places, resolution, margin, most_cells)
     clears = max_range if clear_range is None else clear_range
     # all that was hit lies in the grid, and ways are cut off where they leave it
     diagonal = math.hypot(*shape) * resolution
@@ -91,12 +89,6 @@ def _counts(
     hits, passes, marks = (np.zeros(shape, dtype=np.int32) for _ in range(3))
     trace_beams(poses, firsts, ranges, bearings, limits, origin, resolution, hits, passes, marks)
     return hits, passes
-
-
-def _ends(poses: np.ndarray, ranges: np.ndarray, bearings: np.ndarray) -> np.ndarray:
-    """(N, 2) m, where N beams end: each from a pose of its own."""
-    direction = poses[:, 2] + bearings
-    return poses[:, :2] + ranges[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
 
 
 def _layout(

@@ -198,6 +198,7 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         runtime_s=outcome.runtime,
         association=association,
         dead_reckoning=outcome.dead_reckoning,
+        sensor=config.sensor,
     ) | {
         "frames": outcome.frames,
         "sightings": outcome.sightings,
