@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from kalmap.data import results
-from kalmap.data.native_map import map_bytes, pack_lower, read_map_file, unpack_lower, write_map
+from kalmap.data.native_map import map_bytes, read_map_file, write_map
+from kalmap.data.saved_map import pack_lower, unpack_lower
 from kalmap.records import Estimate, EstimationError, KalmapError, Landmarks, LogError
 from test_view_samples import empty_run, loop_run, manifest
 
@@ -145,7 +146,7 @@ def remade(path, header=None, drop=(), replace=None):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"header": {"format": "kalmap-map/2"}}, "newer kalmap"),
+        ({"header": {"format": "kalmap-map/3"}}, "newer kalmap"),
         ({"header": {"format": "other/1"}}, "unknown format 'other/1'"),
         ({"header": {"format": 7}}, "unknown format"),
         ({"header": {"coordinates": "polar"}}, "unknown coordinates"),
