@@ -14,7 +14,7 @@ from kalmap.evaluation.map_metrics import Metrics, map_metrics, set_cutoffs, set
 from kalmap.evaluation.owners import score_landmarks
 from kalmap.evaluation.relations import relation_errors, relation_metrics
 from kalmap.evaluation.timing import step_times
-from kalmap.records import Estimate, Log, Reference, SensorConfig, Trace, Trajectory
+from kalmap.records import Estimate, Log, Reference, SensorConfig, Trace, Trajectory, final_course
 
 _FEWEST_ALIGNED = 3  # an alignment makes the error of one or two positions vanish
 
@@ -166,7 +166,7 @@ def _reference_metrics(
     cutoffs: tuple[float, float],
 ) -> Metrics:
     """All that one reference says about a run."""
-    course = estimate.trajectory or Trajectory(trace.times, trace.poses, trace.covariances)
+    course = final_course(estimate, trace)
     matched = trajectory.match(course.times, course.poses, reference, options.max_gap)
     metrics = _pose_metrics(matched, reference, options)
     relative = {error.distance: error for error in trajectory.relative_pose_error(matched, options.distances)}
@@ -176,8 +176,7 @@ def _reference_metrics(
         metrics[f"rpe_{distance:g}m_deg"] = math.degrees(error.rotation_rmse) if error else None
     metrics |= _nees_metrics(course, estimate.coordinates, matched, reference)
     if reference.relations is not None:
-        stamps = course.times if course.stamps is None else course.stamps
-        metrics |= relation_metrics(relation_errors(stamps, course.poses, reference.relations))
+        metrics |= relation_metrics(relation_errors(course.printed(), course.poses, reference.relations))
     if estimate.contours is not None:
         return metrics | contour_reference_metrics(estimate.contours, matched, reference)
     metrics |= map_metrics(estimate.landmarks, matched, reference, comparable, options.cutoff)

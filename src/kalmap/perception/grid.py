@@ -13,8 +13,11 @@ import numpy as np
 from kalmap.records import ConfigError, EstimationError, OccupancyGrid, Sweeps
 from kalmap.records.grid import FREE, OCCUPIED, UNKNOWN
 
-HIT, MISS = 0.7, 0.4
-"""Probability that a cell is occupied which one scan hit, or passed through, and of which nothing else is known."""
+HIT, MISS = 0.75, 0.36
+"""Probability that a cell is occupied which one scan hit, or passed, and of which nothing else is known.
+
+One scan is enough to call a cell occupied, two to call it free, and a wall stays that a third of the scans hit.
+"""
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
 """Probabilities beyond which a cell counts as occupied or free: where Nav2 draws the lines."""
 MOST_CELLS = 25_000_000

@@ -45,13 +45,18 @@ class Contours(msgspec.Struct, frozen=True):
 class Trajectory(msgspec.Struct, frozen=True):
     """Where a vehicle was: times (F,) s, poses (F, 3) x m, y m, heading rad, covariances (F, 3, 3).
 
-    stamps: (F,) s, what the log itself printed for each row (`Scan.stamp`), or None where that is `times`.
+    stamps: (F,) s, what the log itself printed for each row (`Scan.stamp`), or None where that is `times`; NaN for a
+    row where it is.
     """
 
     times: np.ndarray
     poses: np.ndarray
     covariances: np.ndarray
     stamps: np.ndarray | None = None
+
+    def printed(self) -> np.ndarray:
+        """(F,) s, the log's own stamp of each row."""
+        return self.times if self.stamps is None else np.where(np.isnan(self.stamps), self.times, self.stamps)
 
 
 class Sweeps(msgspec.Struct, frozen=True):

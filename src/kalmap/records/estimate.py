@@ -79,6 +79,11 @@ class Trace(msgspec.Struct, frozen=True):
     step_times: np.ndarray
 
 
+def final_course(estimate: Estimate, trace: Trace) -> Trajectory:
+    """The drive as it is seen at the end; where the estimator keeps none, as it was said at the time."""
+    return estimate.trajectory or Trajectory(trace.times, trace.poses, trace.covariances)
+
+
 class Association(msgspec.Struct, frozen=True, gc=False):
     """What an associator decided about one frame.
 

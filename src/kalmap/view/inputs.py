@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from kalmap.geometry.se2 import rotate
-from kalmap.records import Estimate, OccupancyGrid, Trace
+from kalmap.records import Estimate, OccupancyGrid, Trace, Trajectory, final_course
 
 
 class Aligned(msgspec.Struct, frozen=True):
@@ -94,13 +94,18 @@ class RunView(msgspec.Struct, frozen=True):
     odometry: np.ndarray | None = None
 
     @property
+    def course(self) -> Trajectory:
+        """The drive as it is seen at the end."""
+        return final_course(self.estimate, self.trace)
+
+    @property
     def start_time(self) -> float:
         """The clock's zero in every picture, s."""
         return float(self.trace.times[0]) if len(self.trace.times) else float(self.estimate.time)
 
     def path(self) -> tuple[np.ndarray, str]:
         """The estimated path (F, 2) of the point that the reference speaks of, and what to call it."""
-        poses = self.trace.poses if self.estimate.trajectory is None else self.estimate.trajectory.poses
+        poses = self.course.poses
         if self.reference is None or not self.reference.point.any():
             return poses[:, :2], "estimated path"
         moved = poses[:, :2] + rotate(poses[:, 2], self.reference.point[None])
