@@ -105,7 +105,8 @@ def _layout(
             f"no grid can be made: {width * resolution:.0f} m x {height * resolution:.0f} m at {resolution:g} m a cell "
             f"are {width * height:.2g} cells, more than {most_cells:.2g}; a coarser resolution or a shorter range helps"
         )
-    return low * resolution, (int(height), int(width))
+    # rounded, so that -12 cells of 0.05 m are -0.6 m and not -0.6000000000000001
+    return np.round(low * resolution, 9), (int(height), int(width))
 
 
 def _check_settings(resolution: float, min_range: float, max_range: float, margin: float) -> None:
