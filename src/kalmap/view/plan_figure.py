@@ -241,13 +241,13 @@ def _inside(points: np.ndarray, limits: Limits) -> np.ndarray:
 
 
 def _draw_bar(axes: Axes, limits: Limits) -> None:
-    """A bar of 1, 2 or 5 times a power of ten of metres, lower left."""
+    """A bar of 1, 2 or 5 times a power of ten of metres, lower left, under the walls: it must not hide one."""
     left, right, bottom, top = limits
     wanted = (right - left) / 6.0
     power = 10.0 ** math.floor(math.log10(wanted))
     length = power * max(each for each in (1, 2, 5) if each * power <= wanted)
     x, y = left + 0.03 * (right - left), bottom + 0.03 * (top - bottom)
-    axes.plot([x, x + length], [y, y], color="#333333", lw=2.5, solid_capstyle="butt", zorder=8)
+    axes.plot([x, x + length], [y, y], color="#333333", lw=2.5, solid_capstyle="butt", zorder=2)
     above = y + 0.01 * (top - bottom)
     box = {"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 0.6}
     axes.text(
@@ -257,6 +257,6 @@ def _draw_bar(axes: Axes, limits: Limits) -> None:
         ha="center",
         va="bottom",
         color="#333333",
-        zorder=8,
+        zorder=2,
         bbox=box,
     )
