@@ -12,7 +12,7 @@ import pytest
 from command import kalmap, kalmap_all, manifest, times, write_log
 from kalmap.data.audit import AUDIT
 from kalmap.data.native_map import map_bytes, read_map_file
-from kalmap.data.results import read_trajectory_csv
+from kalmap.data.trajectory_files import read_trajectory_csv
 
 FILES = {
     *("trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.geojson"),

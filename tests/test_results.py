@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from kalmap.data import results
-from kalmap.data.native_map import map_bytes, pack_lower, read_map_file, unpack_lower, write_map
+from kalmap.data.native_map import map_bytes, read_map_file, write_map
+from kalmap.data.saved_map import pack_lower, unpack_lower
+from kalmap.data.trajectory_files import read_trajectory_csv
 from kalmap.records import Estimate, EstimationError, KalmapError, Landmarks, LogError
 from test_view_samples import empty_run, loop_run, manifest
 
@@ -145,7 +147,7 @@ def remade(path, header=None, drop=(), replace=None):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"header": {"format": "kalmap-map/2"}}, "newer kalmap"),
+        ({"header": {"format": "kalmap-map/3"}}, "newer kalmap"),
         ({"header": {"format": "other/1"}}, "unknown format 'other/1'"),
         ({"header": {"format": 7}}, "unknown format"),
         ({"header": {"coordinates": "polar"}}, "unknown coordinates"),
@@ -230,7 +232,7 @@ def test_result_holds_all_files_and_reads_back(tmp_path):
         "nees": None,
         "deep": {"list": [1.0, None]},
     }
-    back = results.read_trajectory_csv(paths["trajectory.csv"])
+    back = read_trajectory_csv(paths["trajectory.csv"])
     for name in ("times", "poses", "covariances"):
         assert same_bits(getattr(back, name), getattr(run.trace, name))
     assert results.read_manifest(tmp_path / "a" / "b").completed
@@ -262,7 +264,7 @@ def test_landmark_files(tmp_path):
 def test_empty_map_and_no_frames(tmp_path, frames):
     run = empty_run(frames)
     paths = write(tmp_path, run)
-    assert len(results.read_trajectory_csv(paths["trajectory.csv"]).times) == frames
+    assert len(read_trajectory_csv(paths["trajectory.csv"]).times) == frames
     assert json.loads(paths["landmarks.geojson"].read_text())["features"] == []
     assert len(read_map_file(paths["map.kalmap"]).estimate().landmarks) == 0
 
@@ -345,7 +347,7 @@ def test_bad_trajectories_are_named(tmp_path, text, message):
     path = tmp_path / "t.csv"
     path.write_text(text.replace("{header}", "time,x,y,heading,p_xx,p_xy,p_xt,p_yy,p_yt,p_tt"))
     with pytest.raises(LogError, match=message):
-        results.read_trajectory_csv(path)
+        read_trajectory_csv(path)
 
 
 def test_bad_metrics_and_manifests_are_named(tmp_path):

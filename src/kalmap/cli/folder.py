@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _DRAWN = (
     "report.html",
     "figures/map.png",
+    "figures/plan.png",
+    "figures/plan-close-up.png",
     "figures/errors.png",
     "figures/consistency.png",
     "figures/timing.png",

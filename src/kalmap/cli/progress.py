@@ -54,13 +54,17 @@ def summary_line(name: str, metrics: dict[str, float | int | None]) -> None:
             ("position_rmse_m", "m position"),
             ("heading_rmse_deg", "deg heading"),
             ("feature_rmse_m", "m features"),
+            ("relations_translation_mean_m", "m mean relations error"),
+            ("map_error_rms_m", "m map"),
             ("nees_mean", "NEES (3 is right)"),
         )
         if metrics.get(key) is not None
     ]
     aligned = " (aligned)" if metrics.get("aligned") else ""
     known = f"RMS{aligned}: {', '.join(parts)}; " if parts else ""
+    samples = metrics.get("contour_samples")
+    size = f"{metrics['landmarks']} landmarks" if samples is None else f"{samples} contour samples"
     click.echo(
-        f"{name}: {known}{metrics['landmarks']} landmarks, {metrics['frames']} frames, "
+        f"{name}: {known}{size}, {metrics['frames']} frames, "
         f"{metrics['steps']} steps in {metrics['runtime_s']:.2f} s"
     )

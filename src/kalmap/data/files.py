@@ -1,16 +1,20 @@
-"""How files are written: whole or not at all, and values as JSON."""
+"""How files are written: whole or not at all, values as JSON, tables as csv; and text read with errors that name it."""
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+
+from kalmap.records import LogError
 
 
 @contextmanager
@@ -58,3 +62,24 @@ def json_text(value: Any) -> str:
     """Anything that `json_ready` takes as indented JSON, a line break at its end."""
     encoded: bytes = msgspec.json.format(msgspec.json.encode(json_ready(value)), indent=2)
     return encoded.decode() + "\n"
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Comma-separated text; `csv` writes floats with as many digits as bring them back exactly."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def read_text(path: Path) -> str:
+    """The file's text. Raises `LogError` if it cannot be read."""
+    try:
+        return path.read_bytes().decode()
+    except FileNotFoundError as error:
+        raise LogError("no such file", file=path) from error
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}", file=path) from error
+    except UnicodeDecodeError as error:
+        raise LogError("not a text file", file=path) from error

@@ -1,26 +1,24 @@
 """`map.kalmap`: kalmap's own map file, with the joint covariance, exact to the last bit.
 
-The file is an uncompressed zip, as `.npz` is, of `header.json` and one `.npy` member an array. It is
-read with `numpy.lib.format` and without pickle. Written twice from the same estimate and provenance,
-the bytes are the same.
+See `map_archive` for the container, which is read without pickle. Written twice from the same estimate and provenance,
+the bytes are the same. Version 1 holds landmarks; a map of contours is written as version 2, which adds the samples of
+the contours behind the landmarks, and which may hold blocks in place of the joint covariance where that does not exist.
 """
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from kalmap.data.files import json_ready, write_atomically
-from kalmap.records import Estimate, EstimationError, Landmarks, LogError
+from kalmap.data.map_archive import Arrays, Header, archive_bytes, read_archive
+from kalmap.data.saved_map import BLOCKS, JOINT, SavedMap, pack_lower
+from kalmap.records import Contours, Estimate, EstimationError, LogError
 
 FORMAT = "kalmap-map"
-VERSION = 1
+VERSION = 2
 
 _DTYPES = {
     "mean": "<f8",
@@ -29,63 +27,11 @@ _DTYPES = {
     "landmark_sightings": "<i8",
     "landmark_existence": "<f8",
 }
+_CONTOUR_DTYPES = {"contour_normals": "<f8", "contour_sightings": "<i8", "contour_runs": "<i8"}
 # A joint covariance may be this asymmetric, relative to its largest variance, by rounding alone.
 _ASYMMETRY = 1e-9
-# What zipfile raises on damaged files; the last three where a broken entry asks for what it cannot do.
-_DAMAGES = (zipfile.BadZipFile, EOFError, ValueError, NotImplementedError, RuntimeError, zlib.error)
-
-
-class SavedMap(msgspec.Struct, frozen=True):
-    """A map as it was saved: pose, biases and landmarks with their joint covariance.
-
-    time: s. coordinates: "additive" or "invariant", as in `Estimate`.
-    mean: (n,) pose (x m, y m, heading rad), biases, landmarks (x, y each), n = 3 + B + 2 N.
-    packed: (n (n + 1) / 2,) the covariance's lower triangle, row by row.
-    bias_names: B names. landmark_ids, landmark_sightings: (N,) int64; landmark_existence: (N,).
-    provenance: what the writer said about where the map comes from. header: all of the file's header.
-    """
-
-    time: float
-    coordinates: str
-    mean: np.ndarray
-    packed: np.ndarray
-    bias_names: tuple[str, ...]
-    landmark_ids: np.ndarray
-    landmark_sightings: np.ndarray
-    landmark_existence: np.ndarray
-    provenance: dict[str, Any]
-    header: dict[str, Any]
-
-    def covariance(self) -> np.ndarray:
-        """The joint covariance (n, n), dense and exactly symmetric."""
-        return unpack_lower(self.packed, len(self.mean))
-
-    def estimate(self) -> Estimate:
-        """The map as an `Estimate`, with arrays of its own."""
-        mean, covariance = self.mean.copy(), self.covariance()
-        first = 3 + len(self.bias_names)
-        rows = first + 2 * np.arange(len(self.landmark_ids))[:, None] + np.arange(2)
-        landmarks = Landmarks(
-            ids=self.landmark_ids.copy(),
-            positions=mean[rows],
-            covariances=covariance[rows[:, :, None], rows[:, None, :]],
-            sightings=self.landmark_sightings.copy(),
-            existence=self.landmark_existence.copy(),
-        )
-        deviations = np.sqrt(np.diagonal(covariance)[3:first])
-        biases = {
-            name: (float(value), float(deviation))
-            for name, value, deviation in zip(self.bias_names, mean[3:first], deviations, strict=True)
-        }
-        return Estimate(
-            time=self.time,
-            pose=mean[:3].copy(),
-            covariance=covariance[:3, :3].copy(),
-            landmarks=landmarks,
-            biases=biases,
-            joint=lambda: (mean.copy(), covariance.copy()),
-            coordinates=self.coordinates,
-        )
+# m, how far a sample's position and its place in the joint mean may be apart by rounding.
+_APART = 1e-6
 
 
 def write_map(path: Path | str, estimate: Estimate, provenance: dict[str, Any] | None = None) -> None:
@@ -97,22 +43,23 @@ def map_bytes(estimate: Estimate, provenance: dict[str, Any] | None = None) -> b
     """The content of a native map file.
 
     provenance: anything JSON can hold: kalmap's version, the log, the configuration.
-    The covariance's lower triangle is what is kept. Raises `EstimationError` if the joint mean or
-    covariance is not finite, not symmetric or not of the size that biases and landmarks ask for.
+    The covariance's lower triangle is what is kept; of a map of contours whose `joint` raises `EstimationError`,
+    because it is too large to have one, the blocks of pose and samples, and the header says why. Raises
+    `EstimationError` if mean or covariance is not finite, not symmetric or not of the size that biases, landmarks and
+    samples ask for.
     """
-    mean, covariance = estimate.joint()
-    landmarks = estimate.landmarks
-    _check_joint(mean, covariance, 3 + len(estimate.biases) + 2 * len(landmarks))
     if not np.isfinite(estimate.time):
         raise EstimationError("the map cannot be saved: its time is not finite")
+    contours, landmarks = estimate.contours, estimate.landmarks
+    mean, packed, told = _kept(estimate)
     header = {
-        "format": f"{FORMAT}/{VERSION}",
+        "format": f"{FORMAT}/{1 if contours is None else VERSION}",
         "coordinates": estimate.coordinates,
         "time": float(estimate.time),
         "units": {"length": "m", "angle": "rad", "time": "s"},
         "frame": "map",
         "order": "x, y, heading, biases, then x, y of each landmark",
-        "covariance": "lower triangle, row by row",
+        **told,
         "biases": list(estimate.biases),
         "size": len(mean),
         "landmarks": len(landmarks),
@@ -120,12 +67,15 @@ def map_bytes(estimate: Estimate, provenance: dict[str, Any] | None = None) -> b
     }
     arrays = {
         "mean": mean,
-        "covariance": pack_lower(covariance),
+        "covariance": packed,
         "landmark_ids": landmarks.ids,
         "landmark_sightings": landmarks.sightings,
         "landmark_existence": landmarks.existence,
     }
-    return _zip_bytes(header, arrays)
+    if contours is not None:
+        header |= {"order": f"{header['order']}, then x, y of each sample", "contours": len(contours)}
+        arrays |= _contour_arrays(contours, mean)
+    return archive_bytes(header, arrays, _DTYPES | _CONTOUR_DTYPES)
 
 
 def read_map_file(path: Path | str) -> SavedMap:
@@ -135,37 +85,8 @@ def read_map_file(path: Path | str) -> SavedMap:
     damaged, or was written in a newer format.
     """
     path = Path(path)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            header = _read_header(archive, path)
-            arrays = {name: _read_array(archive, name, path) for name in _DTYPES}
-    except FileNotFoundError as error:
-        raise LogError("no such file", file=path) from error
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except _DAMAGES as error:
-        raise LogError(f"not a kalmap map, or cut off or damaged: {error}", file=path) from error
+    header, arrays = read_archive(path, _check_header, _expected)
     return _saved_map(header, arrays, path)
-
-
-def pack_lower(covariance: np.ndarray) -> np.ndarray:
-    """The lower triangle (n (n + 1) / 2,) of a symmetric matrix (n, n), row by row."""
-    n = len(covariance)
-    packed = np.empty(n * (n + 1) // 2)
-    for row in range(n):
-        start = row * (row + 1) // 2
-        packed[start : start + row + 1] = covariance[row, : row + 1]
-    return packed
-
-
-def unpack_lower(packed: np.ndarray, n: int) -> np.ndarray:
-    """The symmetric matrix (n, n) whose lower triangle was packed."""
-    covariance = np.empty((n, n))
-    for row in range(n):
-        start = row * (row + 1) // 2
-        covariance[row, : row + 1] = packed[start : start + row + 1]
-        covariance[: row + 1, row] = covariance[row, : row + 1]
-    return covariance
 
 
 def _check_joint(mean: np.ndarray, covariance: np.ndarray, size: int) -> None:
@@ -182,50 +103,69 @@ def _check_joint(mean: np.ndarray, covariance: np.ndarray, size: int) -> None:
         raise EstimationError("the map cannot be saved: its joint covariance is not symmetric")
 
 
-def _zip_bytes(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> bytes:
-    """The file's content. Member dates are fixed, so that equal maps are equal files."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
-        archive.writestr(zipfile.ZipInfo("header.json"), msgspec.json.encode(header))
-        for name, values in arrays.items():
-            member = io.BytesIO()
-            plain = np.ascontiguousarray(values, dtype=_DTYPES[name])
-            np.lib.format.write_array(member, plain, version=(1, 0), allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), member.getvalue())
-    return stream.getvalue()
-
-
-def _read_header(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
-    """The decoded header, of a format and version that this reader knows."""
+def _kept(estimate: Estimate) -> tuple[np.ndarray, np.ndarray, Header]:
+    """The mean, what is kept of its covariance, and how the header calls that."""
     try:
-        header = msgspec.json.decode(archive.read("header.json"), type=dict[str, Any])
-    except KeyError as error:
-        raise LogError("not a kalmap map: the zip file has no header.json", file=path) from error
-    except msgspec.MsgspecError as error:
-        raise LogError(f"not JSON: {error}", file=path, field="header.json") from error
+        mean, covariance = estimate.joint()
+    except EstimationError as error:
+        if estimate.contours is None:
+            raise
+        return *_blocks(estimate), {"covariance": BLOCKS, "without_joint": str(error)}
+    _check_joint(mean, covariance, 3 + len(estimate.biases) + 2 * _places(estimate))
+    return mean, pack_lower(covariance), {"covariance": JOINT}
+
+
+def _places(estimate: Estimate) -> int:
+    """How many positions the map holds."""
+    return len(estimate.landmarks) + (0 if estimate.contours is None else len(estimate.contours))
+
+
+def _blocks(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Mean, and what there is of its covariance without the joint one: see `BLOCKS`."""
+    values = [value for value, _ in estimate.biases.values()]
+    first = 3 + len(values)
+    head = np.zeros((first, first))
+    head[:3, :3] = estimate.covariance
+    head[np.arange(3, first), np.arange(3, first)] = [
+        deviation**2 for _, deviation in estimate.biases.values()
+    ]
+    maps = [each for each in (estimate.landmarks, estimate.contours) if each is not None]
+    covariances = np.concatenate([each.covariances for each in maps])
+    mean = np.concatenate([estimate.pose, values, *(each.positions.ravel() for each in maps)])
+    if not (np.isfinite(mean).all() and np.isfinite(head).all() and np.isfinite(covariances).all()):
+        raise EstimationError("the map cannot be saved: its mean or covariance is not finite")
+    return mean, np.concatenate([pack_lower(head), covariances.reshape(-1, 4)[:, [0, 1, 3]].ravel()])
+
+
+def _contour_arrays(contours: Contours, mean: np.ndarray) -> Arrays:
+    count = len(contours)
+    saved = mean[len(mean) - 2 * count :].reshape(-1, 2)
+    if count and not np.abs(saved - contours.positions).max() <= _APART:
+        raise EstimationError("the map cannot be saved: its samples are not where its joint mean has them")
+    if not np.isfinite(contours.normals).all():
+        raise EstimationError("the map cannot be saved: a normal is not finite")
+    return {
+        "contour_normals": contours.normals.ravel(),
+        "contour_sightings": contours.sightings,
+        "contour_runs": contours.runs,
+    }
+
+
+def _check_header(header: Header, path: Path) -> None:
+    """Raise `LogError` unless the header is of a format and version that this reader knows."""
     name, _, version = str(header.get("format", "")).partition("/")
     if name != FORMAT or not version.isdecimal():
         raise LogError(f"unknown format {header.get('format')!r}", file=path, field="format")
     if int(version) > VERSION:
         problem = f"written in format {version} by a newer kalmap; this one reads up to {VERSION}"
         raise LogError(problem, file=path, field="format")
-    return header
+    if header.get("covariance", JOINT) not in (JOINT, BLOCKS):
+        raise LogError(f"unknown layout {header['covariance']!r}", file=path, field="covariance")
 
 
-def _read_array(archive: zipfile.ZipFile, name: str, path: Path) -> np.ndarray:
-    """One member as a one-dimensional array of the type that the format fixes."""
-    try:
-        # Read whole, so that zipfile compares the checksum before anything is believed.
-        member = io.BytesIO(archive.read(f"{name}.npy"))
-        values = np.lib.format.read_array(member, allow_pickle=False)
-    except KeyError as error:
-        raise LogError("missing", file=path, field=name) from error
-    except (ValueError, EOFError) as error:
-        raise LogError(f"damaged: {error}", file=path, field=name) from error
-    if values.dtype != np.dtype(_DTYPES[name]) or values.ndim != 1:
-        problem = f"expected a row of {_DTYPES[name]}, found {values.dtype} {values.shape}"
-        raise LogError(problem, file=path, field=name)
-    return values
+def _expected(header: Header) -> dict[str, str]:
+    """The arrays that a header promises."""
+    return _DTYPES | (_CONTOUR_DTYPES if "contours" in header else {})
 
 
 def _saved_map(header: dict[str, Any], arrays: dict[str, np.ndarray], path: Path) -> SavedMap:
@@ -240,16 +180,11 @@ def _saved_map(header: dict[str, Any], arrays: dict[str, np.ndarray], path: Path
         raise LogError("expected a number of seconds", file=path, field="time")
     if coordinates not in ("additive", "invariant"):
         raise LogError(f"unknown coordinates {coordinates!r}", file=path, field="coordinates")
-    count = len(arrays["landmark_ids"])
-    n = 3 + len(names) + 2 * count
-    lengths = {"mean": n, "covariance": n * (n + 1) // 2}
-    for name, values in arrays.items():
-        if len(values) != lengths.get(name, count):
-            problem = f"expected {lengths.get(name, count)} numbers, found {len(values)}"
-            raise LogError(problem, file=path, field=name)
-    for name in ("mean", "covariance"):
-        if not np.isfinite(arrays[name]).all():
+    _check_lengths(header, arrays, len(names), path)
+    for name in ("mean", "covariance", "contour_normals"):
+        if name in arrays and not np.isfinite(arrays[name]).all():
             raise LogError("not finite", file=path, field=name)
+    normals = arrays.get("contour_normals")
     return SavedMap(
         time=float(time),
         coordinates=coordinates,
@@ -261,4 +196,26 @@ def _saved_map(header: dict[str, Any], arrays: dict[str, np.ndarray], path: Path
         landmark_existence=arrays["landmark_existence"],
         provenance=provenance,
         header=header,
+        contour_normals=None if normals is None else normals.reshape(-1, 2),
+        contour_sightings=arrays.get("contour_sightings"),
+        contour_runs=arrays.get("contour_runs"),
     )
+
+
+def _check_lengths(header: Header, arrays: Arrays, biases: int, path: Path) -> None:
+    """Raise `LogError` unless all arrays are as long as each other and the header ask for."""
+    landmarks, samples = len(arrays["landmark_ids"]), len(arrays.get("contour_runs", ()))
+    first, places = 3 + biases, landmarks + samples
+    n = first + 2 * places
+    blocks = header.get("covariance") == BLOCKS
+    lengths = {
+        "mean": n,
+        "covariance": first * (first + 1) // 2 + 3 * places if blocks else n * (n + 1) // 2,
+        "contour_normals": 2 * samples,
+        "contour_sightings": samples,
+        "contour_runs": samples,
+    }
+    for name, values in arrays.items():
+        if len(values) != lengths.get(name, landmarks):
+            problem = f"expected {lengths.get(name, landmarks)} numbers, found {len(values)}"
+            raise LogError(problem, file=path, field=name)

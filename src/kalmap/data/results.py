@@ -1,4 +1,4 @@
-"""The result folder: trajectory, landmarks, map, metrics and manifest, each written whole or not at all.
+"""The result folder: trajectory, landmarks or contours, map, metrics and manifest, each written whole or not at all.
 
 No file ever holds a NaN: estimates that are not finite are refused with a name, metrics and existence
 probabilities that do not exist are null (JSON) or empty (CSV).
@@ -6,17 +6,18 @@ probabilities that do not exist are null (JSON) or empty (CSV).
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from kalmap.data.files import json_text, write_atomically
+from kalmap.data.contour_files import contours_csv, contours_geojson
+from kalmap.data.files import csv_text, json_text, read_text, write_atomically
 from kalmap.data.native_map import map_bytes
+from kalmap.data.nav2 import map_yaml, pgm_bytes
+from kalmap.data.trajectory_files import by_stamp, trajectory_csv, tum_text
 from kalmap.records import (
     Estimate,
     EstimationError,
@@ -24,6 +25,7 @@ from kalmap.records import (
     Landmarks,
     LogError,
     Manifest,
+    OccupancyGrid,
     Trace,
     Trajectory,
 )
@@ -32,13 +34,25 @@ MANIFEST = "manifest.json"
 METRICS = "metrics.json"
 TRAJECTORY_CSV = "trajectory.csv"
 TRAJECTORY_TUM = "trajectory.tum"
+ONLINE_CSV = "trajectory-online.csv"
 LANDMARKS_CSV = "landmarks.csv"
 LANDMARKS_GEOJSON = "landmarks.geojson"
+CONTOURS_CSV = "contours.csv"
+CONTOURS_GEOJSON = "contours.geojson"
 MAP = "map.kalmap"
+GRID_IMAGE, GRID_YAML = "map.pgm", "map.yaml"
+# What some results hold and others do not.
+_OPTIONAL = (
+    ONLINE_CSV,
+    LANDMARKS_CSV,
+    LANDMARKS_GEOJSON,
+    CONTOURS_CSV,
+    CONTOURS_GEOJSON,
+    GRID_IMAGE,
+    GRID_YAML,
+)
 
-_TRAJECTORY_COLUMNS = ("time", "x", "y", "heading", "p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
 _LANDMARK_COLUMNS = ("id", "x", "y", "p_xx", "p_xy", "p_yy", "sightings", "existence")
-_UPPER_3 = np.triu_indices(3)
 
 
 def write_result(
@@ -48,8 +62,14 @@ def write_result(
     trace: Trace,
     metrics: Mapping[str, Any],
     manifest: Manifest,
+    grid: OccupancyGrid | None = None,
 ) -> dict[str, Path]:
     """Write all files of a result and return their paths by name.
+
+    Where the estimate holds the whole drive as it is seen at the end, that is the trajectory, in the order of the log's
+    own stamps, and what was said at the time is `trajectory-online.csv`. A map of contours has files of contours in
+    place of those of landmarks. grid: adds it as Nav2 reads it. Files that an earlier result has left here and this one
+    does not have are removed.
 
     The folder is made if it is missing. Raises `KalmapError` if it holds files but no kalmap manifest,
     `EstimationError` if the trajectory or the map is not finite; then nothing has been written.
@@ -67,10 +87,8 @@ def write_result(
         "config": manifest.config,
     }
     contents = {
-        TRAJECTORY_TUM: _tum(trace).encode(),
-        TRAJECTORY_CSV: _trajectory_csv(trace).encode(),
-        LANDMARKS_CSV: _landmarks_csv(estimate.landmarks).encode(),
-        LANDMARKS_GEOJSON: _landmarks_geojson(estimate).encode(),
+        **_trajectories(estimate, trace),
+        **_map_files(estimate, grid),
         METRICS: json_text(metrics).encode(),
         MAP: map_bytes(estimate, provenance),
     }
@@ -78,6 +96,9 @@ def write_result(
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = msgspec.structs.replace(manifest, completed=False, error="writing the result was cut off")
     write_manifest(folder, unfinished)
+    for name in _OPTIONAL:
+        if name not in contents:
+            (folder / name).unlink(missing_ok=True)
     for name, content in contents.items():
         write_atomically(folder / name, content)
     write_manifest(folder, manifest)
@@ -114,50 +135,61 @@ def read_metrics(folder: Path | str) -> dict[str, Any]:
     return _decode(Path(folder) / METRICS, dict[str, Any])
 
 
-def read_trajectory_csv(path: Path | str) -> Trajectory:
-    """Read a `trajectory.csv`, exactly as it was written.
+def _trajectories(estimate: Estimate, trace: Trace) -> dict[str, bytes]:
+    """The drive as it is seen at the end, and as it was at the time where that differs."""
+    online = Trajectory(trace.times, trace.poses, trace.covariances)
+    final = online if estimate.trajectory is None else by_stamp(estimate.trajectory)
+    contents = {TRAJECTORY_TUM: tum_text(final).encode(), TRAJECTORY_CSV: trajectory_csv(final).encode()}
+    if estimate.trajectory is not None:
+        contents[ONLINE_CSV] = trajectory_csv(online).encode()
+    return contents
 
-    Raises `LogError`, naming file, row (the header is 1) and field, for what is not such a file.
-    """
-    path = Path(path)
-    rows = _csv_rows(path, _TRAJECTORY_COLUMNS)
-    table = np.array([_numbers(path, number, row) for number, row in rows]).reshape(-1, 10)
-    covariances = np.empty((len(table), 3, 3))
-    covariances[:, _UPPER_3[0], _UPPER_3[1]] = table[:, 4:]
-    covariances[:, _UPPER_3[1], _UPPER_3[0]] = table[:, 4:]
-    return Trajectory(times=table[:, 0].copy(), poses=table[:, 1:4].copy(), covariances=covariances)
+
+def _map_files(estimate: Estimate, grid: OccupancyGrid | None) -> dict[str, bytes]:
+    """The map as other programs read it."""
+    if estimate.contours is None:
+        contents = {
+            LANDMARKS_CSV: _landmarks_csv(estimate.landmarks).encode(),
+            LANDMARKS_GEOJSON: _landmarks_geojson(estimate).encode(),
+        }
+    else:
+        contents = {
+            CONTOURS_CSV: contours_csv(estimate.contours).encode(),
+            CONTOURS_GEOJSON: contours_geojson(estimate.contours, estimate.time).encode(),
+        }
+    if grid is not None:
+        contents |= {GRID_IMAGE: pgm_bytes(grid), GRID_YAML: map_yaml(grid, GRID_IMAGE).encode()}
+    return contents
 
 
 def _check_finite(estimate: Estimate, trace: Trace) -> None:
     """Raise `EstimationError` that names the first number of a result that is not finite."""
-    for name, values in (("time", trace.times), ("pose", trace.poses), ("covariance", trace.covariances)):
+    for course, where in ((trace, "trace"), (estimate.trajectory, "trajectory")):
+        if course is not None:
+            courses = {"time": course.times, "pose": course.poses, "covariance": course.covariances}
+            _refuse_bad(courses, f"at {where} row", range(1, len(course.times) + 1))
+    landmarks, contours = estimate.landmarks, estimate.contours
+    places = {"position": landmarks.positions, "covariance": landmarks.covariances}
+    _refuse_bad(places, "of landmark", landmarks.ids)
+    if contours is not None:
+        samples = {
+            "position": contours.positions,
+            "covariance": contours.covariances,
+            "normal": contours.normals,
+        }
+        _refuse_bad(samples, "of sample", range(1, len(contours) + 1))
+
+
+def _refuse_bad(named: Mapping[str, np.ndarray], where: str, numbers: Sequence[int] | np.ndarray) -> None:
+    for name, values in named.items():
         bad = _bad_rows(values)
         if len(bad):
-            raise EstimationError(
-                f"the result cannot be saved: {name} at trace row {bad[0] + 1} is not finite"
-            )
-    landmarks = estimate.landmarks
-    for name, values in (("position", landmarks.positions), ("covariance", landmarks.covariances)):
-        bad = _bad_rows(values)
-        if len(bad):
-            identity = landmarks.ids[bad[0]]
-            raise EstimationError(f"the result cannot be saved: {name} of landmark {identity} is not finite")
+            place = f"{where} {numbers[bad[0]]}"
+            raise EstimationError(f"the result cannot be saved: {name} {place} is not finite")
 
 
 def _bad_rows(values: np.ndarray) -> np.ndarray:
     return np.flatnonzero(~np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
-
-
-def _tum(trace: Trace) -> str:
-    """Time, position and unit quaternion of a rotation about z, as evo and the TUM tools read it."""
-    half = 0.5 * trace.poses[:, 2]
-    rows = zip(trace.times, trace.poses[:, 0], trace.poses[:, 1], np.sin(half), np.cos(half), strict=True)
-    return "".join(f"{t:.9f} {x:.9g} {y:.9g} 0 0 0 {z:.9g} {w:.9g}\n" for t, x, y, z, w in rows)
-
-
-def _trajectory_csv(trace: Trace) -> str:
-    upper = trace.covariances[:, _UPPER_3[0], _UPPER_3[1]]
-    return _csv_text(_TRAJECTORY_COLUMNS, np.column_stack([trace.times, trace.poses, upper]).tolist())
 
 
 def _landmarks_csv(landmarks: Landmarks) -> str:
@@ -167,7 +199,7 @@ def _landmarks_csv(landmarks: Landmarks) -> str:
         landmarks.ids.tolist(), numbers, landmarks.sightings.tolist(), _existence(landmarks), strict=True
     )
     rows = ([identity, *row, sightings, existence] for identity, row, sightings, existence in tails)
-    return _csv_text(_LANDMARK_COLUMNS, rows)
+    return csv_text(_LANDMARK_COLUMNS, rows)
 
 
 def _landmarks_geojson(estimate: Estimate) -> str:
@@ -203,56 +235,9 @@ def _existence(landmarks: Landmarks) -> list[float | None]:
     return [value if np.isfinite(value) else None for value in landmarks.existence.tolist()]
 
 
-def _csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Comma-separated text; `csv` writes floats with as many digits as bring them back exactly."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return stream.getvalue()
-
-
-def _read_text(path: Path) -> str:
-    """The file's text. Raises `LogError` if it cannot be read."""
-    try:
-        return path.read_bytes().decode()
-    except FileNotFoundError as error:
-        raise LogError("no such file", file=path) from error
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except UnicodeDecodeError as error:
-        raise LogError("not a text file", file=path) from error
-
-
-def _csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
-    """The rows below the header with their numbers in the file, all of them of the right length."""
-    rows = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(_read_text(path))), 1) if row]
-    if not rows or tuple(rows[0][1]) != tuple(columns):
-        raise LogError(f"expected the columns {','.join(columns)}", file=path, record=1)
-    for number, row in rows[1:]:
-        if len(row) != len(columns):
-            raise LogError(f"expected {len(columns)} fields, found {len(row)}", file=path, record=number)
-    return rows[1:]
-
-
-def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
-    values = []
-    for column, text in zip(_TRAJECTORY_COLUMNS, row, strict=True):
-        try:
-            value = float(text)
-        except ValueError:
-            value = float("nan")
-        if not np.isfinite(value):
-            raise LogError(
-                f"expected a finite number, found {text!r}", file=path, record=number, field=column
-            )
-        values.append(value)
-    return values
-
-
 def _decode(path: Path, kind: Any) -> Any:
     try:
-        return msgspec.json.decode(_read_text(path), type=kind)
+        return msgspec.json.decode(read_text(path), type=kind)
     except msgspec.MsgspecError as error:
         raise LogError(f"not what kalmap writes: {error}", file=path) from error
 

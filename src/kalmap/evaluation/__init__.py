@@ -16,12 +16,14 @@ from kalmap.evaluation.consistency import (
     pose_nees,
     share_inside,
 )
+from kalmap.evaluation.crispness import Crispness, MapError, crispness, loop_error, map_error
 from kalmap.evaluation.identities import sighting_identities
 from kalmap.evaluation.landmarks import MapScore, pair_by_id, pair_by_nearest, score_by_id, score_by_nearest
 from kalmap.evaluation.map_metrics import set_cutoffs
 from kalmap.evaluation.metrics import Metrics, Options, evaluate
 from kalmap.evaluation.owners import LandmarkScore, landmark_owners, score_landmarks
 from kalmap.evaluation.paired import PairedTest, paired_test
+from kalmap.evaluation.relations import RelationErrors, relation_errors, relation_metrics
 from kalmap.evaluation.set_course import SetCourse, seen_so_far, set_errors_over_time
 from kalmap.evaluation.sets import (
     CardinalityError,
@@ -51,9 +53,11 @@ __all__ = [
     "AssociationScore",
     "CardinalityError",
     "Cola",
+    "Crispness",
     "ErrorSummary",
     "Gospa",
     "LandmarkScore",
+    "MapError",
     "MapScore",
     "Matched",
     "Metrics",
@@ -62,6 +66,7 @@ __all__ = [
     "Ospa",
     "PairScore",
     "PairedTest",
+    "RelationErrors",
     "RelativeError",
     "SetCourse",
     "SetError",
@@ -71,10 +76,13 @@ __all__ = [
     "cardinality_error",
     "chi2_band",
     "cola",
+    "crispness",
     "evaluate",
     "gospa",
     "heading_errors",
     "landmark_owners",
+    "loop_error",
+    "map_error",
     "match",
     "mean_nees",
     "nis_summary",
@@ -85,6 +93,8 @@ __all__ = [
     "pose_error",
     "pose_nees",
     "position_errors",
+    "relation_errors",
+    "relation_metrics",
     "relative_errors",
     "relative_pose_error",
     "score_association",

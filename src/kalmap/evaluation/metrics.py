@@ -9,10 +9,12 @@ import numpy as np
 
 from kalmap.evaluation import consistency, trajectory
 from kalmap.evaluation.association import Verdict, score_association, score_pairs
+from kalmap.evaluation.contour_metrics import contour_metrics, contour_reference_metrics
 from kalmap.evaluation.map_metrics import Metrics, map_metrics, set_cutoffs, set_metrics
 from kalmap.evaluation.owners import score_landmarks
+from kalmap.evaluation.relations import relation_errors, relation_metrics
 from kalmap.evaluation.timing import step_times
-from kalmap.records import Estimate, Log, Reference, Trace
+from kalmap.records import Estimate, Log, Reference, SensorConfig, Trace, Trajectory, final_course
 
 _FEWEST_ALIGNED = 3  # an alignment makes the error of one or two positions vanish
 
@@ -42,6 +44,7 @@ def evaluate(
     runtime_s: float | None = None,
     association: tuple[np.ndarray, np.ndarray] | None = None,
     dead_reckoning: tuple[np.ndarray, np.ndarray] | None = None,
+    sensor: SensorConfig | None = None,
     options: Options | None = None,
 ) -> Metrics:
     """Judge a run. Every value is a finite number, or None where it is not known.
@@ -52,6 +55,7 @@ def evaluate(
     association: true id and assigned landmark of every sighting, in order of time, both (M,) ints and the
         landmarks by their number in `estimate.landmarks.ids`; see `score_association`.
     dead_reckoning: times (K,) and poses (K, 3) of the odometry alone, judged like the estimate's.
+    sensor: which ranges of scans count, for a map of contours; None takes the log's own.
 
     Main keys, of the first reference: `position_rmse_m` and `heading_rmse_deg` over the trace's instants;
     `feature_rmse_m` over the last map. Where the reference is in a frame of its own, these come after the
@@ -71,12 +75,19 @@ def evaluate(
     `association_precision`, `_recall` and `_f1` the pairs of them, `association_*_landmarks` and
     `association_missed_features` the last map. Whether a negative true id means "known to be no landmark" is
     the log's `false_ids`; where it does not, `association_spurious_landmarks` is not known.
+
+    Where the estimate holds the whole drive as it is seen at the end (`Estimate.trajectory`), that is what is judged,
+    and `online_*` is what was said at the time. `relations_*` judge it by motions known between pairs of instants (see
+    `relation_metrics`). A map of contours has `contour_*`, `crispness_*`, `map_error_*` (to true walls) and
+    `loop_error_*` instead of everything about landmarks.
     """
     options = options or Options()
     comparable = ids_known and log.truth_ids
     metrics = _run_metrics(trace, estimate, runtime_s)
     metrics |= _nis_metrics(trace)
-    metrics |= _association_metrics(association, estimate.landmarks.ids, log.false_ids)
+    if estimate.contours is None:
+        metrics |= _association_metrics(association, estimate.landmarks.ids, log.false_ids)
+    metrics |= contour_metrics(estimate, sensor or log.defaults.sensor)
     cutoffs = set_cutoffs(log.defaults.sensor.max_range)
     seen: dict[str, int] = {}
     for number, reference in enumerate(log.references or (Reference(),)):
@@ -84,9 +95,12 @@ def evaluate(
         again = seen[reference.kind] if seen[reference.kind] > 1 else ""
         prefix = f"{reference.kind}{again}_" if number else ""
         judged = _reference_metrics(trace, estimate, reference, comparable, options, cutoffs)
+        if estimate.trajectory is not None:
+            judged |= _course_metrics("online", trace.times, trace.poses, reference, options)
         if dead_reckoning is not None:
-            judged |= _dead_reckoning_metrics(*dead_reckoning, reference, options)
-        metrics |= {prefix + key: value for key, value in judged.items()}
+            judged |= _course_metrics("dead_reckoning", *dead_reckoning, reference, options)
+        # what a reference of relations says of them is named after them already
+        metrics |= {key if key.startswith(prefix) else prefix + key: value for key, value in judged.items()}
     return {key: _finite(value) for key, value in metrics.items()}
 
 
@@ -100,7 +114,7 @@ def _run_metrics(trace: Trace, estimate: Estimate, runtime_s: float | None) -> M
         "steps": len(trace.step_seconds),
         "frames": len(trace.times),
         "sightings": int(np.sum(trace.sightings)),
-        "landmarks": len(estimate.landmarks),
+        **({"landmarks": len(estimate.landmarks)} if estimate.contours is None else {}),
         "runtime_s": float(np.sum(trace.step_seconds)) if runtime_s is None else float(runtime_s),
         "step_ms_mean": times.mean_ms if times else None,
         "step_ms_p50": times.p50_ms if times else None,
@@ -152,14 +166,19 @@ def _reference_metrics(
     cutoffs: tuple[float, float],
 ) -> Metrics:
     """All that one reference says about a run."""
-    matched = trajectory.match(trace.times, trace.poses, reference, options.max_gap)
+    course = final_course(estimate, trace)
+    matched = trajectory.match(course.times, course.poses, reference, options.max_gap)
     metrics = _pose_metrics(matched, reference, options)
     relative = {error.distance: error for error in trajectory.relative_pose_error(matched, options.distances)}
     for distance in options.distances:
         error = relative.get(distance)
         metrics[f"rpe_{distance:g}m_m"] = error.translation_rmse if error else None
         metrics[f"rpe_{distance:g}m_deg"] = math.degrees(error.rotation_rmse) if error else None
-    metrics |= _nees_metrics(trace, estimate.coordinates, matched, reference)
+    metrics |= _nees_metrics(course, estimate.coordinates, matched, reference)
+    if reference.relations is not None:
+        metrics |= relation_metrics(relation_errors(course.printed(), course.poses, reference.relations))
+    if estimate.contours is not None:
+        return metrics | contour_reference_metrics(estimate.contours, matched, reference)
     metrics |= map_metrics(estimate.landmarks, matched, reference, comparable, options.cutoff)
     return metrics | set_metrics(estimate.landmarks, matched, reference, comparable, cutoffs)
 
@@ -186,7 +205,7 @@ def _pose_metrics(matched: trajectory.Matched, reference: Reference, options: Op
 
 
 def _nees_metrics(
-    trace: Trace, coordinates: str, matched: trajectory.Matched, reference: Reference
+    course: Trajectory, coordinates: str, matched: trajectory.Matched, reference: Reference
 ) -> Metrics:
     """NEES needs true poses of the vehicle's own origin, in the frame in which the estimate began.
 
@@ -194,7 +213,7 @@ def _nees_metrics(
     """
     mean = inside = low = high = None
     if reference.kind == "truth" and reference.frame == "map" and not np.any(reference.point):
-        covariances = trace.covariances[matched.rows]
+        covariances = course.covariances[matched.rows]
         nees = consistency.pose_nees(matched.reference, matched.estimated, covariances, coordinates)
         mean = consistency.mean_nees(nees)
         if mean is not None:
@@ -202,10 +221,11 @@ def _nees_metrics(
     return {"nees_mean": mean, "nees_band_low": low, "nees_band_high": high, "nees_inside": inside}
 
 
-def _dead_reckoning_metrics(
-    times: np.ndarray, poses: np.ndarray, reference: Reference, options: Options
+def _course_metrics(
+    name: str, times: np.ndarray, poses: np.ndarray, reference: Reference, options: Options
 ) -> Metrics:
+    """The main numbers of another course of the same drive."""
     matched = trajectory.match(times, poses, reference, options.max_gap)
     judged = _pose_metrics(matched, reference, options)
     keys = ("position_rmse_m", "heading_rmse_deg", "ate_aligned_rmse_m")
-    return {f"dead_reckoning_{key}": judged[key] for key in keys}
+    return {f"{name}_{key}": judged[key] for key in keys}

@@ -1,8 +1,9 @@
-"""What is found in laser scans: sightings of landmarks, and pieces of contour."""
+"""What laser scans show: landmarks, pieces of contour, and the free and occupied space that they sweep."""
 
 from kalmap.perception.build import detector_from_config
 from kalmap.perception.contours import CutConfig, EndKind, Pieces, cut_scan, cut_settings
 from kalmap.perception.detector import Detector
+from kalmap.perception.grid import occupancy_grid
 from kalmap.perception.poles import ReflectorDetector
 from kalmap.perception.trees import TreeDetector
 
@@ -16,4 +17,5 @@ __all__ = [
     "cut_scan",
     "cut_settings",
     "detector_from_config",
+    "occupancy_grid",
 ]

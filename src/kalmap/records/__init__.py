@@ -14,8 +14,18 @@ from kalmap.records.config import (
 from kalmap.records.contours import Contours, Sweeps, Trajectory
 from kalmap.records.decisions import REASONS, Frame, Managed, Reason, Why
 from kalmap.records.errors import ConfigError, EstimationError, EventError, KalmapError, LogError
-from kalmap.records.estimate import NEW, SPURIOUS, Association, Estimate, Landmarks, Manifest, Trace
+from kalmap.records.estimate import (
+    NEW,
+    SPURIOUS,
+    Association,
+    Estimate,
+    Landmarks,
+    Manifest,
+    Trace,
+    final_course,
+)
 from kalmap.records.events import Event, Fix, Odometry, Scan, Sightings
+from kalmap.records.grid import OccupancyGrid
 from kalmap.records.log import Log, Reference, Relations, SightingTruth, Skipped
 
 __all__ = [
@@ -43,6 +53,7 @@ __all__ = [
     "Managed",
     "Manifest",
     "MotionConfig",
+    "OccupancyGrid",
     "Odometry",
     "PerceptionConfig",
     "Reason",
@@ -58,4 +69,5 @@ __all__ = [
     "Trace",
     "Trajectory",
     "Why",
+    "final_course",
 ]

@@ -42,6 +42,7 @@ class Estimate(msgspec.Struct, frozen=True):
     contours: the map of an estimator that maps contours from scans; None for one of landmarks.
     trajectory: the whole drive as it is seen now, loops closed, for every scan or frame; None where none is kept.
     sweeps: the scans that the map rests on, each where it is thought to be taken now; None where none are kept.
+    counts: name -> what else the estimator has to tell in numbers (loops closed, local maps, ...), for the metrics.
     """
 
     time: float
@@ -54,6 +55,7 @@ class Estimate(msgspec.Struct, frozen=True):
     contours: Contours | None = None
     trajectory: Trajectory | None = None
     sweeps: Callable[[], Sweeps] | None = None
+    counts: dict[str, float] | None = None
 
 
 class Trace(msgspec.Struct, frozen=True):
@@ -75,6 +77,11 @@ class Trace(msgspec.Struct, frozen=True):
     sightings: np.ndarray
     step_seconds: np.ndarray
     step_times: np.ndarray
+
+
+def final_course(estimate: Estimate, trace: Trace) -> Trajectory:
+    """The drive as it is seen at the end; where the estimator keeps none, as it was said at the time."""
+    return estimate.trajectory or Trajectory(trace.times, trace.poses, trace.covariances)
 
 
 class Association(msgspec.Struct, frozen=True, gc=False):

@@ -14,7 +14,7 @@ from kalmap.evaluation import (
     sighting_identities,
 )
 from kalmap.evaluation.trajectory import aligned
-from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig
+from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig, final_course
 from kalmap.simulate import FloorWorld, World, simulate
 from kalmap.slam import Outcome, run, slam_from_config
 from kalmap.study.recorded import Recorded
@@ -198,6 +198,7 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         runtime_s=outcome.runtime,
         association=association,
         dead_reckoning=outcome.dead_reckoning,
+        sensor=config.sensor,
     ) | {
         "frames": outcome.frames,
         "sightings": outcome.sightings,
@@ -218,9 +219,9 @@ def _identities(outcome: Outcome, log: Log) -> tuple[np.ndarray, np.ndarray] | N
 
 
 def _curves(outcome: Outcome, log: Log) -> tuple[list[float], list[float], list[float]]:
-    trace = outcome.trace
-    kept = np.linspace(0, len(trace.times) - 1, min(len(trace.times), CURVE_POINTS)).round().astype(int)
-    times, poses = trace.times[kept], trace.poses[kept]
+    course = final_course(outcome.estimate, outcome.trace)
+    kept = np.linspace(0, len(course.times) - 1, min(len(course.times), CURVE_POINTS)).round().astype(int)
+    times, poses = course.times[kept], course.poses[kept]
     matched = match(times, poses, log.references[0])
     if log.references[0].frame != "map":
         matched = aligned(matched)[0]

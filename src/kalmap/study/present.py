@@ -20,7 +20,18 @@ from kalmap.evaluation import consistency, trajectory
 from kalmap.geometry.alignment import apply
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import quarter_turn, rotate
-from kalmap.records import Log, Manifest, Reference, RunConfig
+from kalmap.perception import occupancy_grid
+from kalmap.records import (
+    Estimate,
+    EstimationError,
+    Log,
+    Manifest,
+    OccupancyGrid,
+    Reference,
+    RunConfig,
+    SensorConfig,
+    Trajectory,
+)
 from kalmap.slam import Outcome
 from kalmap.study.cases import judge
 from kalmap.study.compare import Compared
@@ -40,13 +51,15 @@ from kalmap.view import (
     save_figures,
 )
 
-_SET_FIGURES = ("set", "intensity")
+_OPTIONAL_FIGURES = ("map", "plan", "plan-close-up", "set", "intensity")
 _PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "msgspec")
 
 
 def method_label(config: RunConfig) -> str:
     """The method as tables and pictures name it."""
     sets = config.finite_set
+    if config.contour.method is not None:
+        return f"{config.contour.method}, {_filter_label(config)}"
     if sets.method is not None:
         number = f"{sets.particles} particle{'s' * (sets.particles > 1)}"
         proposal = ", motion proposal" if sets.proposal == "motion" else ""
@@ -64,27 +77,38 @@ def _filter_label(config: RunConfig) -> str:
     return f"{chosen.name}, {chosen.coordinates}{scope}{use}"
 
 
-def run_view(outcome: Outcome, log: Log, label: str, judged: JudgedCourse | None = None) -> RunView:
+def run_view(
+    outcome: Outcome,
+    log: Log,
+    label: str,
+    judged: JudgedCourse | None = None,
+    grid: OccupancyGrid | None = None,
+) -> RunView:
     """The run with its first reference brought into the estimate's frame, and the errors against it.
 
-    judged: the course of a map that is a random finite set, where there is a true one.
+    judged: the course of a map that is a random finite set, where there is a true one. grid: what scans swept.
     """
-    sets = _set_view(outcome, log, judged, label)
-    if not log.references:
-        return RunView(method=label, log=log.name, estimate=outcome.estimate, trace=outcome.trace, sets=sets)
-    reference = log.references[0]
-    matched = trajectory.match(outcome.trace.times, outcome.trace.poses, reference)
-    moved, angle, translation = matched, 0.0, np.zeros(2)
-    if reference.frame != "map":
-        moved, (angle, translation) = trajectory.aligned(matched)
-    return RunView(
+    view = RunView(
         method=label,
         log=log.name,
         estimate=outcome.estimate,
         trace=outcome.trace,
+        sets=_set_view(outcome, log, judged, label),
+        grid=grid,
+        odometry=None if outcome.dead_reckoning is None else outcome.dead_reckoning[1][:, :2],
+    )
+    if not log.references:
+        return view
+    reference, course = log.references[0], view.course
+    matched = trajectory.match(course.times, course.poses, reference)
+    moved, angle, translation = matched, 0.0, np.zeros(2)
+    if reference.frame != "map":
+        moved, (angle, translation) = trajectory.aligned(matched)
+    coordinates = outcome.estimate.coordinates
+    return msgspec.structs.replace(
+        view,
         reference=_into_map(reference, angle, translation),
-        errors=_errors(outcome, matched, moved, reference, angle) if len(matched) else None,
-        sets=sets,
+        errors=_errors(course, coordinates, matched, moved, reference, angle) if len(matched) else None,
     )
 
 
@@ -110,28 +134,29 @@ def _into_map(reference: Reference, angle: float, translation: np.ndarray) -> Al
         point=reference.point,
         path=apply(-angle, back, reference.positions),
         landmarks=apply(-angle, back, reference.landmarks),
+        walls=apply(-angle, back, reference.walls.reshape(-1, 2)).reshape(-1, 4),
     )
 
 
 def _errors(
-    outcome: Outcome,
+    course: Trajectory,
+    coordinates: str,
     matched: trajectory.Matched,
     moved: trajectory.Matched,
     reference: Reference,
     angle: float,
 ) -> Errors:
     """Estimate minus reference along the map's axes; the NEES where the reference needs no alignment."""
-    covariances = outcome.trace.covariances[matched.rows]
-    covariances = _at_point(outcome.trace.poses[matched.rows], covariances, reference.point)
+    covariances = course.covariances[matched.rows]
+    covariances = _at_point(course.poses[matched.rows], covariances, reference.point)
     values = moved.estimated - moved.reference
     values[:, :2] = apply(-angle, np.zeros(2), values[:, :2])
     values[:, 2] = wrap(values[:, 2])
     nees = np.full(len(matched), np.nan)
     if reference.kind == "truth" and reference.frame == "map" and not reference.point.any():
-        poses = outcome.trace.poses[matched.rows]
-        nees = consistency.pose_nees(matched.reference, poses, covariances, outcome.estimate.coordinates)
+        nees = consistency.pose_nees(matched.reference, course.poses[matched.rows], covariances, coordinates)
     variances = np.diagonal(covariances, axis1=1, axis2=2)
-    return Errors(outcome.trace.times[matched.rows], values, np.sqrt(np.maximum(variances, 0.0)), nees)
+    return Errors(course.times[matched.rows], values, np.sqrt(np.maximum(variances, 0.0)), nees)
 
 
 def _at_point(poses: np.ndarray, covariances: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -191,18 +216,38 @@ def save_run(
     if judged is not None:
         metrics |= course_metrics(judged)
     manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
-    write_result(folder, estimate=outcome.estimate, trace=outcome.trace, metrics=metrics, manifest=manifest)
+    estimate = outcome.estimate
+    grid, warnings = swept(estimate, config.sensor)
+    write_result(
+        folder, estimate=estimate, trace=outcome.trace, metrics=metrics, manifest=manifest, grid=grid
+    )
     trail, worst = save_trail(folder, outcome, manifest)
-    _drop_set_figures(folder)
+    _drop_optional_figures(folder)
     if figures:
-        view = run_view(outcome, log, method_label(config), judged)
+        view = run_view(outcome, log, method_label(config), judged, grid)
         drawn = run_figures(view)
         if worst is not None:
             drawn[FIGURE] = decision_figure(worst)
-        save_figures(folder / "figures", drawn)
-        page = render_report(view, metrics=metrics, manifest=manifest, figures=drawn, trail=trail)
+        paths = save_figures(folder / "figures", drawn)
+        pictures = {name: path.read_bytes() for name, path in paths.items()}
+        page = render_report(
+            view, metrics=metrics, manifest=manifest, figures=pictures, warnings=warnings, trail=trail
+        )
         write_atomically(folder / "report.html", page.encode())
     return metrics
+
+
+def swept(estimate: Estimate, sensor: SensorConfig) -> tuple[OccupancyGrid | None, tuple[str, ...]]:
+    """The occupancy grid of the estimate's scans, and why there is none where they are too spread out for one."""
+    if estimate.sweeps is None:
+        return None, ()
+    sweeps = estimate.sweeps()
+    if not len(sweeps.scans):
+        return None, ()
+    try:
+        return occupancy_grid(sweeps, min_range=sensor.min_range, max_range=sensor.max_range), ()
+    except EstimationError as problem:
+        return None, (f"No map for Nav2 was written: {problem}.",)
 
 
 def save_comparison(
@@ -234,7 +279,7 @@ def save_comparison(
         first = next(iter(manifests.values()))
         configs = {name: one.config for name, one in manifests.items()}
         write_manifest(folder, msgspec.structs.replace(first, config=configs))
-    _drop_set_figures(folder)
+    _drop_optional_figures(folder)
     if views:
         drawn = comparison_figures(views, metrics)
         save_figures(folder / "figures", drawn)
@@ -246,7 +291,7 @@ def save_comparison(
     return metrics
 
 
-def _drop_set_figures(folder: Path) -> None:
+def _drop_optional_figures(folder: Path) -> None:
     """Remove what an earlier run of another method may have left: not every method draws them again."""
-    for name in _SET_FIGURES:
+    for name in _OPTIONAL_FIGURES:
         (folder / "figures" / f"{name}.png").unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from kalmap.view.error_figure import error_figure
 from kalmap.view.inputs import RunView, SetView
 from kalmap.view.intensity_figure import intensity_figure
 from kalmap.view.map_figure import map_figure
+from kalmap.view.plan_figure import close_up_figure, plan_figure
 from kalmap.view.reading import numbers
 from kalmap.view.set_figure import run_set_figure, runs_set_figure
 from kalmap.view.timing_figure import timing_figure
@@ -22,6 +23,14 @@ CAPTIONS = {
     "map": (
         "The estimated path and map. Each ellipse should hold its landmark's true place in 95 of 100 cases; "
         "a dot marks its centre, however small the ellipse."
+    ),
+    "plan": (
+        "The floor plan: contours (black) over what the scans swept (white: free, blue-grey: occupied, grey: unknown). "
+        "The path is the drive as it is seen at the end. Each ellipse should hold the true place in 95 of 100 cases."
+    ),
+    "plan-close-up": (
+        "The part with the most samples, each with its 95 % ellipse at true size, over everything that the beams hit. "
+        "A wall that was mapped twice shows as two bands of points or two lines."
     ),
     "errors": (
         "Estimate minus reference. The band is three standard deviations as the filter states them: "
@@ -57,9 +66,13 @@ CAPTIONS = {
 def run_figures(run: RunView) -> dict[str, Figure]:
     """Map, errors, consistency and timing of a run, and of a random finite set its number and intensity.
 
-    What is not known is said in the picture.
+    A map of contours is drawn as a floor plan with a close-up. What is not known is said in the picture.
     """
-    drawn = {"map": map_figure(run), "errors": error_figure(run)}
+    if run.estimate.contours is None:
+        drawn = {"map": map_figure(run)}
+    else:
+        drawn = {"plan": plan_figure(run), "plan-close-up": close_up_figure(run)}
+    drawn |= {"errors": error_figure(run)}
     if run.sets is not None:
         drawn |= {"set": run_set_figure(run), "intensity": _intensity(run, run.sets)}
     return drawn | {"consistency": consistency_figure(run), "timing": timing_figure(run)}

@@ -6,20 +6,21 @@ import msgspec
 import numpy as np
 
 from kalmap.geometry.se2 import rotate
-from kalmap.records import Estimate, Trace
+from kalmap.records import Estimate, OccupancyGrid, Trace, Trajectory, final_course
 
 
 class Aligned(msgspec.Struct, frozen=True):
     """A reference, already moved into the estimate's frame.
 
     kind: "truth", "gps", "batch" or "survey". path: (K, 2) m. landmarks: (M, 2) m. point: (2,) m, the point of
-    the vehicle (forward, left) that the path is of.
+    the vehicle (forward, left) that the path is of. walls: (S, 4) m, true contours from x, y to x, y.
     """
 
     kind: str = "truth"
     point: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(2))
     path: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
     landmarks: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 2)))
+    walls: np.ndarray = msgspec.field(default_factory=lambda: np.zeros((0, 4)))
 
 
 class Errors(msgspec.Struct, frozen=True):
@@ -79,6 +80,7 @@ class RunView(msgspec.Struct, frozen=True):
     """One run as the pictures want it: method (its label), log (its name) and what came out.
 
     reference, errors: None where nothing is known from outside. sets: None where the map is no random finite set.
+    grid: what scans swept, None without scans. odometry: (K, 2) m, the path by odometry alone, None where not kept.
     """
 
     method: str
@@ -88,6 +90,13 @@ class RunView(msgspec.Struct, frozen=True):
     reference: Aligned | None = None
     errors: Errors | None = None
     sets: SetView | None = None
+    grid: OccupancyGrid | None = None
+    odometry: np.ndarray | None = None
+
+    @property
+    def course(self) -> Trajectory:
+        """The drive as it is seen at the end."""
+        return final_course(self.estimate, self.trace)
 
     @property
     def start_time(self) -> float:
@@ -96,7 +105,7 @@ class RunView(msgspec.Struct, frozen=True):
 
     def path(self) -> tuple[np.ndarray, str]:
         """The estimated path (F, 2) of the point that the reference speaks of, and what to call it."""
-        poses = self.trace.poses
+        poses = self.course.poses
         if self.reference is None or not self.reference.point.any():
             return poses[:, :2], "estimated path"
         moved = poses[:, :2] + rotate(poses[:, 2], self.reference.point[None])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kalmap.geometry.ellipses import ellipse_points
-from kalmap.records import Landmarks
+from kalmap.records import Contours, Landmarks
 from kalmap.view import style
 from kalmap.view.inputs import Aligned, RunView
 
@@ -43,17 +43,19 @@ def map_limits(runs: list[RunView]) -> Limits:
     clouds = [np.zeros((0, 2))]
     for run in runs:
         clouds += [run.path()[0], run.estimate.landmarks.positions, run.estimate.pose[None, :2]]
+        if run.estimate.contours is not None:
+            clouds.append(run.estimate.contours.positions)
         if run.reference is not None:
             clouds += [run.reference.path, run.reference.landmarks]
     return limits_around(np.concatenate(clouds))
 
 
-def limits_around(points: np.ndarray) -> Limits:
-    """Left, right, bottom and top that hold the finite points (N, 2), with a margin, m."""
+def limits_around(points: np.ndarray, margin: float = 0.1) -> Limits:
+    """Left, right, bottom and top, m, that hold the finite points (N, 2), with a margin: a share of the longer half."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
     middle, half = (low + high) / 2, (high - low) / 2
-    half += max(0.1 * float(half.max()), 0.5)
+    half += max(margin * float(half.max()), 0.5)
     # Neither a slit nor a tower: the shorter side is widened, and the picture stays filled.
     half = np.maximum(half, (half[1] / _TALLEST, half[0] * _FLATTEST))
     (left, bottom), (right, top) = (middle - half).tolist(), (middle + half).tolist()
@@ -65,6 +67,8 @@ def draw_map(axes: Axes, run: RunView, limits: Limits) -> None:
     if run.reference is not None:
         _draw_reference(axes, run.reference)
     _draw_landmarks(axes, run.estimate.landmarks)
+    if run.estimate.contours is not None:
+        draw_contours(axes, run.estimate.contours, width=0.7)
     path, label = run.path()
     if len(path):
         axes.plot(path[:, 0], path[:, 1], color=style.BLUE, label=label, zorder=4)
@@ -73,7 +77,7 @@ def draw_map(axes: Axes, run: RunView, limits: Limits) -> None:
         axes.text(
             0.5, 0.96, "no path: the trace is empty", transform=axes.transAxes, ha="center", color=style.GREY
         )
-    _draw_robot(axes, run, limits)
+    draw_robot(axes, run, limits)
     axes.set_xlim(limits[:2])
     axes.set_ylim(limits[2:])
     axes.set_aspect("equal")
@@ -119,7 +123,28 @@ def _draw_landmarks(axes: Axes, landmarks: Landmarks) -> None:
     axes.add_collection(ellipses)
 
 
-def _draw_robot(axes: Axes, run: RunView, limits: Limits) -> None:
+def draw_contours(axes: Axes, contours: Contours, width: float, alone: bool = True) -> None:
+    """Each run as a line of that width (points), samples that are alone as dots unless these are drawn elsewhere."""
+    from matplotlib.collections import LineCollection
+
+    strands = contours.strands()
+    lines = [contours.positions[rows] for rows in strands if len(rows) > 1]
+    if lines:
+        looks: dict[str, Any] = {
+            "colors": style.BLACK,
+            "linewidths": width,
+            "capstyle": "round",
+            "zorder": 3.5,
+        }
+        axes.add_collection(LineCollection(lines, label="contours", **looks), autolim=False)
+    single = [rows[0] for rows in strands if len(rows) == 1]
+    if single and alone:
+        places = contours.positions[single]
+        dots: dict[str, Any] = {"s": 4.0 * width, "c": style.BLACK, "lw": 0, "zorder": 3.5}
+        axes.scatter(places[:, 0], places[:, 1], label="samples alone", **dots)
+
+
+def draw_robot(axes: Axes, run: RunView, limits: Limits) -> None:
     """The final pose as an arrow-head that points ahead, with its 95 % ellipse."""
     x, y, heading = run.estimate.pose
     if not np.isfinite(run.estimate.pose).all():

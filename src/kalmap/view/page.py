@@ -91,9 +91,9 @@ def page(title: str, lead: str, sections: Sequence[tuple[str, str, str]], foot: 
     )
 
 
-def picture(figure: Figure, name: str, caption: str) -> str:
-    """HTML of a figure with the PNG inside it. name is the alternative text."""
-    data = base64.b64encode(png_bytes(figure)).decode()
+def picture(figure: Figure | bytes, name: str, caption: str) -> str:
+    """HTML of a figure, or of a PNG, with the PNG inside it. name is the alternative text."""
+    data = base64.b64encode(figure if isinstance(figure, bytes) else png_bytes(figure)).decode()
     image = f'<img alt="{text(name)}" src="data:image/png;base64,{data}">'
     return f"<figure>{image}<figcaption>{text(caption)}</figcaption></figure>"
 

@@ -17,6 +17,7 @@ import numpy as np
 _UNITS = {
     "m": ("m", 1.0),
     "m2": ("m²", 1.0),
+    "deg2": ("deg²", 1.0),
     "deg": ("deg", 1.0),
     "rad": ("deg", 180.0 / math.pi),
     "s": ("s", 1.0),
@@ -40,6 +41,7 @@ _SPELT |= {
     "ospa": "OSPA",
     "gospa": "GOSPA",
     "p50": "median",
+    "p95": "95th percentile",
     "p99": "99th percentile",
     "std": "standard deviation",
     "f1": "F1",
@@ -68,6 +70,20 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
     ),
     (frozenset({"association", "f1"}), "Precision and recall of the pairs in one number: 1 is right."),
     (frozenset({"association", "spurious"}), "The log does not say which sightings are of no landmark."),
+    (frozenset({"relations", "loop"}), "The same for motions between instants 100 s apart or more: loops."),
+    (frozenset({"relations", "local"}), "The same for motions between instants close to each other."),
+    (
+        frozenset({"relations"}),
+        "Error of motions that are known between pairs of instants; no alignment is needed.",
+    ),
+    (
+        frozenset({"crispness", "beyond"}),
+        "Of what the beams hit, how much lies more than 0.5 m from every contour.",
+    ),
+    (frozenset({"crispness"}), "Distance of what the beams hit, at its final place, to the contours."),
+    (frozenset({"map", "error"}), "Distance of the contours' samples to the true walls."),
+    (frozenset({"loop", "error"}), "Error of the drive's end as seen from its start."),
+    (frozenset({"online"}), "The same for what was said at the time, before later loops were known."),
     (frozenset({"dead", "reckoning"}), "The same for the odometry alone: what the landmarks are worth."),
     (frozenset({"ate", "aligned"}), "Distance from the reference path, both laid over each other first."),
     (frozenset({"ate"}), "Distance from the reference path, over the whole run."),
@@ -86,6 +102,11 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
 )
 # What a count says, by the words of its key; one of the association's by those behind "association".
 _COUNTS = {
+    "contour samples": "Points that the contours are known at.",
+    "contour runs": "Unbroken stretches of contour.",
+    "crispness points": "Of what the beams hit, how much was measured.",
+    "relations found": "Known motions both of whose instants have a pose.",
+    "relations missed": "Known motions of which an instant has no pose.",
     "cardinality error": "Landmarks in the map less those that are there.",
     "right": "Sightings joined to a landmark that their own feature founded.",
     "wrong": "Sightings joined to another's landmark, though their feature had one.",
@@ -105,6 +126,11 @@ _COUNTS = {
 HEADLINES = (
     "position_rmse_m",
     "heading_rmse_deg",
+    "relations_translation_mean_m",
+    "relations_rotation_mean_deg",
+    "crispness_mean_m",
+    "map_error_rms_m",
+    "loop_error_m",
     "feature_rmse_m",
     "ate_aligned_rmse_m",
     "feature_aligned_rmse_m",

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from kalmap.records import REASONS, Landmarks, Manifest
+from kalmap.records import REASONS, Estimate, Landmarks, Manifest
 from kalmap.records.trail import TrailSummary
 from kalmap.view import page
+from kalmap.view.contour_report import contour_section
 from kalmap.view.figures import CAPTIONS, run_figures
 from kalmap.view.inputs import RunView
 from kalmap.view.reading import flat, headlines_first, metric_of, number, reading
@@ -40,14 +41,14 @@ def render_report(
     *,
     metrics: Mapping[str, Any],
     manifest: Manifest,
-    figures: Mapping[str, Figure] | None = None,
+    figures: Mapping[str, Figure | bytes] | None = None,
     warnings: Sequence[str] = (),
     trail: Trail | None = None,
 ) -> str:
     """The page of a run as HTML.
 
     metrics: as in `metrics.json`, nested as it likes; None or NaN reads as unknown.
-    figures: name -> figure; drawn here if not given. warnings: what the reader must know first.
+    figures: name -> figure, or its PNG; drawn here if not given. warnings: what the reader must know first.
     trail: adds a section on data association, with the figure called "association" if there is one.
     """
     figures = run_figures(run) if figures is None else figures
@@ -55,18 +56,18 @@ def render_report(
     decisions = drawn.pop(_ASSOCIATION, "")
     sections = (
         ("warnings", "Warnings", page.warnings_html([*_failures(manifest), *warnings])),
-        ("summary", "At a glance", page.cards(summary_cards(run))),
+        ("summary", "At a glance", page.cards(summary_cards(run, dict(flat(metrics))))),
         ("figures", "Pictures", "\n".join(drawn.values())),
         ("metrics", "Metrics", _metrics(metrics)),
         (_ASSOCIATION, "Association", "" if trail is None else _association(trail) + decisions),
-        ("landmarks", "Landmarks", _landmarks(run.estimate.landmarks)),
+        _map_section(run.estimate),
         ("biases", "Biases estimated", _biases(run.estimate.biases)),
         ("skipped", "Skipped records", _skipped(manifest)),
         ("configuration", "Configuration", configuration(manifest.config)),
         ("origin", "Where this comes from", origin(manifest)),
     )
     how = f"Filter {run.method} in {run.estimate.coordinates} coordinates"
-    lead = f"{how if run.sets is None else run.method} on {manifest.source}"
+    lead = f"{how if run.sets is None and run.estimate.contours is None else run.method} on {manifest.source}"
     return page.page(
         f"{run.log}: {run.method}", lead, sections, f"kalmap {manifest.kalmap}, {manifest.finished}"
     )
@@ -165,6 +166,12 @@ def _association(trail: Trail) -> str:
         tables += "<h3>Frames with the most trouble</h3>"
         tables += page.table(("frame", "time (s)", "decided in doubt"), worst, numeric=(0, 1))
     return told + ask + tables
+
+
+def _map_section(estimate: Estimate) -> tuple[str, str, str]:
+    if estimate.contours is not None:
+        return "contours", "Contours", contour_section(estimate.contours)
+    return "landmarks", "Landmarks", _landmarks(estimate.landmarks)
 
 
 def _landmarks(landmarks: Landmarks) -> str:

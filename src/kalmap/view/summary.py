@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from kalmap.geometry.ellipses import ellipse_axes
 from kalmap.view.consistency import chi_square_band, shares
+from kalmap.view.contour_report import Card, contour_cards, relation_cards
 from kalmap.view.inputs import Errors, RunView, SetView
 from kalmap.view.reading import agreement, honesty, number
 
-Card = tuple[str, str, str, str]
 
-
-def summary_cards(run: RunView) -> list[Card]:
-    """Cards (label, value, unit, what it says) of a run; what is not known is left out."""
+def summary_cards(run: RunView, metrics: Mapping[str, Any] | None = None) -> list[Card]:
+    """Cards (label, value, unit, what it says) of a run; what is not known is left out. metrics: of the run, flat."""
+    metrics = metrics or {}
+    related = list(relation_cards(metrics))
     return [
         *_course(run),
-        *_map(run),
+        *_map(run, metrics),
         *_set(run.sets),
-        *_errors(run.errors, run),
+        *related,
+        *(_errors(run.errors, run) if run.errors is not None or not related else ()),
         *_innovations(run),
         *_time(run),
     ]
 
 
 def _course(run: RunView) -> Iterator[Card]:
-    poses, times = run.trace.poses, run.trace.times
+    poses, times = run.course.poses, run.course.times
     if not len(times):
         yield "Path", "none", "", "The trace is empty: no frame was processed."
         return
@@ -35,10 +38,13 @@ def _course(run: RunView) -> Iterator[Card]:
     yield "Path", number(length), "m", f"in {number(float(times[-1] - times[0]))} s, {len(times)} instants."
 
 
-def _map(run: RunView) -> Iterator[Card]:
+def _map(run: RunView, metrics: Mapping[str, Any]) -> Iterator[Card]:
     estimate = run.estimate
-    used = int(run.trace.sightings.sum())
-    yield "Landmarks", str(len(estimate.landmarks)), "", f"from {used} sightings used."
+    if estimate.contours is None:
+        used = int(run.trace.sightings.sum())
+        yield "Landmarks", str(len(estimate.landmarks)), "", f"from {used} sightings used."
+    else:
+        yield from contour_cards(estimate.contours, metrics)
     if np.isfinite(estimate.covariance).all():
         axes, _ = ellipse_axes(estimate.covariance[:2, :2])
         heading = float(np.degrees(np.sqrt(max(estimate.covariance[2, 2], 0.0))))

@@ -1,0 +1,83 @@
+"""What a report says of a map of contours, in cards and in a section of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from kalmap.records import Contours
+from kalmap.view import page
+from kalmap.view.reading import number
+
+Card = tuple[str, str, str, str]
+
+
+def contour_cards(contours: Contours, metrics: Mapping[str, Any]) -> Iterator[Card]:
+    """Cards (label, value, unit, what it says); what is not known is left out."""
+    yield (
+        "Contour samples",
+        str(len(contours)),
+        "",
+        f"in {_runs(contours)}, {number(_length(contours))} m of contours.",
+    )
+    crisp, beyond = metrics.get("crispness_mean_m"), metrics.get("crispness_beyond_share")
+    if crisp is not None:
+        shown = f"Mean distance of what the beams hit to the contours; {number(100 * (beyond or 0.0))} % lie far off."
+        yield "Crispness", number(100.0 * crisp), "cm", shown
+    walls = metrics.get("map_error_rms_m")
+    if walls is not None:
+        yield "Map error", number(100.0 * walls), "cm RMS", "Distance of the samples to the true walls."
+    loop, turned = metrics.get("loop_error_m"), metrics.get("loop_error_deg")
+    if loop is not None and turned is not None:
+        yield (
+            "Loop error",
+            number(loop),
+            "m",
+            f"and {number(turned)} deg: the end of the drive as seen from its start.",
+        )
+
+
+def relation_cards(metrics: Mapping[str, Any]) -> Iterator[Card]:
+    """One card on the known motions between instants, where there are any."""
+    moved, turned = metrics.get("relations_translation_mean_m"), metrics.get("relations_rotation_mean_deg")
+    if moved is None or turned is None:
+        return
+    spread = f"± {number(metrics['relations_translation_std_m'])} m and {number(turned)}"
+    says = f"{spread} ± {number(metrics['relations_rotation_std_deg'])} deg, over {metrics['relations_found']} motions"
+    missed = metrics.get("relations_missed")
+    yield "Relations error", number(moved), "m mean", f"{says}, {missed} not found." if missed else f"{says}."
+
+
+def contour_section(contours: Contours) -> str:
+    """HTML of how large the map is, and how sure."""
+    if not len(contours):
+        return "<p>The map holds no contours.</p>"
+    sentence = (
+        f"{len(contours)} samples in {_runs(contours)}, {number(_length(contours))} m of contours; all "
+        "are in contours.csv and contours.geojson. Standard deviations as the estimator states them:"
+    )
+    across = _sigmas(contours.covariances, contours.normals)
+    along = _sigmas(contours.covariances, np.column_stack([-contours.normals[:, 1], contours.normals[:, 0]]))
+    rows = [
+        (name, *(number(100.0 * value) for value in np.percentile(sigmas, (50, 95, 100))))
+        for name, sigmas in (("across the contour", across), ("along the contour", along))
+    ]
+    columns = ("sigma of samples", "median (cm)", "95 % below (cm)", "largest (cm)")
+    return f"<p>{page.text(sentence)}</p>" + page.table(columns, rows, numeric=(1, 2, 3))
+
+
+def _runs(contours: Contours) -> str:
+    count = len(contours.strands())
+    return f"{count} run{'s' * (count != 1)}"
+
+
+def _length(contours: Contours) -> float:
+    segments = contours.segments()
+    return float(np.hypot(*(segments[:, 2:] - segments[:, :2]).T).sum())
+
+
+def _sigmas(covariances: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(N,) standard deviation of each sample along its unit vector."""
+    return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", directions, covariances, directions), 0.0))
