@@ -12,7 +12,7 @@ from numba import njit
 
 from kalmap.kernels.implicit import project, signed_distance
 from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE, INVARIANT, JACOBIAN, NOT_POSITIVE, OK, RULE
-from kalmap.kernels.regression import left_jacobian, regress, square_root, weights
+from kalmap.kernels.regression import left_jacobian, regress, square_root, weights, wrap
 from kalmap.kernels.sensing import sighting_block, to_twist
 from kalmap.kernels.update import apply_rows, gather_rows
 
@@ -47,14 +47,30 @@ def _beyond(ranges, beam, r, margin):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, origin, scale, reach, limit, found, g, gradient):
+def look(
+    pose,
+    samples,
+    normals,
+    mount,
+    bearings,
+    ranges,
+    piece_of_beam,
+    coef,
+    origin,
+    scale,
+    reach,
+    limit,
+    found,
+    g,
+    gradient,
+):
     """What the scan says about every sample, with the robot at `pose`.
 
-    samples, normals: (N, 2) in the map. mount: (3,) the scanner on the robot. bearings: (B,) ascending, in the scanner's
-    frame; ranges: (B,), +inf where nothing came back; piece_of_beam: (B,) or -1; coef (K, 10), origin (K, 2), scale (K,):
-    the pieces' curves in the robot's frame. reach: m, beyond which the scanner's silence says nothing. limit: m, greatest
-    distance from a curve. Writes for every sample: found (N,) its piece, or HIDDEN, OPEN, ASIDE; g (N,) m its signed
-    distance; gradient (N, 2) of the distance in the robot's frame. Returns how many were found.
+    samples, normals: (N, 2) in the map. mount: (3,) the scanner on the robot. bearings: (B,) ascending, in the
+    scanner's frame; ranges: (B,), +inf where nothing came back; piece_of_beam: (B,) or -1; coef (K, 10), origin (K, 2),
+    scale (K,): the pieces' curves in the robot's frame. reach: m, beyond which the scanner's silence says nothing.
+    limit: m, greatest distance from a curve. Writes for every sample: found (N,) its piece, or HIDDEN, OPEN, ASIDE;
+    g (N,) m its signed distance; gradient (N, 2) of the distance in the robot's frame. Returns how many were found.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     cm, sm = math.cos(mount[2]), math.sin(mount[2])
@@ -97,7 +113,26 @@ def look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, o
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fit_pose(pose, information, samples, normals, mount, bearings, ranges, piece_of_beam, coef, origin, scale, sigma, reach, limits, rounds, found, g, gradient):
+def fit_pose(
+    pose,
+    information,
+    samples,
+    normals,
+    mount,
+    bearings,
+    ranges,
+    piece_of_beam,
+    coef,
+    origin,
+    scale,
+    sigma,
+    reach,
+    limits,
+    rounds,
+    found,
+    g,
+    gradient,
+):
     """Move `pose` to where the scan fits the samples best, the samples held. Returns (found, mean squared distance).
 
     information: (3, 3), in the map's axes, of the pose that was handed in: the prior; on return that of the fit.
@@ -110,7 +145,23 @@ def fit_pose(pose, information, samples, normals, mount, bearings, ranges, piece
     matched, squares = 0, 0.0
     for turn in range(rounds):
         limit = max(limits[1], limits[0] * 0.5**turn)
-        matched = look(pose, samples, normals, mount, bearings, ranges, piece_of_beam, coef, origin, scale, reach, limit, found, g, gradient)
+        matched = look(
+            pose,
+            samples,
+            normals,
+            mount,
+            bearings,
+            ranges,
+            piece_of_beam,
+            coef,
+            origin,
+            scale,
+            reach,
+            limit,
+            found,
+            g,
+            gradient,
+        )
         normal[:] = prior
         for i in range(3):
             right[i] = 0.0
@@ -148,7 +199,10 @@ def _distance_at(setup, pose, sample, deviation, coef, ox, oy, scale):
     turn = pose[2]
     if setup[INVARIANT] == 0.0:
         turn += deviation[2]
-        dx, dy = sample[0] + deviation[3] - pose[0] - deviation[0], sample[1] + deviation[4] - pose[1] - deviation[1]
+        dx, dy = (
+            sample[0] + deviation[3] - pose[0] - deviation[0],
+            sample[1] + deviation[4] - pose[1] - deviation[1],
+        )
     else:  # seen from the robot, only V' (xi_sample - xi_position) is left of the twist
         s, v = left_jacobian(deviation[2])
         ux, uy = deviation[3] - deviation[0], deviation[4] - deviation[1]
@@ -158,15 +212,20 @@ def _distance_at(setup, pose, sample, deviation, coef, ox, oy, scale):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def regress_distances(setup, mean, packed, indices, piece, coef, origin, scale, matrices, distances, residuals):
+def regress_distances(
+    setup, mean, packed, mount, indices, piece, coef, origin, scale, matrices, distances, residuals
+):
     """Regress the signed distances of M samples on their (pose, sample) blocks, all at the same prior.
 
-    indices: (M,) where the samples begin; piece: (M,) the curve of each. Writes matrices (M, 5) on the additive errors,
-    distances (M,) m as they are to be expected, residuals (M,) m^2: what the regression leaves. Returns a status code.
+    The scanner's calibration, columns 3 and 4, is small and near linear: its derivatives are taken at the mean.
+    mount: (3,) the scanner on the robot. indices: (M,) where the samples begin; piece: (M,) the curve of each. Writes
+    matrices (M, 7) on the additive errors, distances (M,) m as they are to be expected, residuals (M,) m^2: what the
+    regression leaves. Returns a status code.
     """
     cov, root = np.empty((5, 5)), np.empty((5, 5))
     points, deviation = np.empty((2, 5, 1)), np.empty(5)
     offset, matrix, residual = np.empty(1), np.empty((1, 5)), np.empty((1, 1))
+    place, slope, effect = np.empty((1, 2)), np.empty((1, 2)), np.empty((1, 2))
     spread = weights(setup, 5)[0] if int(setup[RULE]) != JACOBIAN else 0.0
     invariant = setup[INVARIANT] != 0.0
     cosine, sine = math.cos(mean[2]), math.sin(mean[2])
@@ -174,11 +233,15 @@ def regress_distances(setup, mean, packed, indices, piece, coef, origin, scale, 
         k, sample = piece[m], mean[indices[m] : indices[m] + 2]
         ox, oy = origin[k, 0], origin[k, 1]
         dx, dy = sample[0] - mean[0], sample[1] - mean[1]
-        value, gx, gy = signed_distance(coef[k], ox, oy, scale[k], cosine * dx + sine * dy, cosine * dy - sine * dx)
+        place[0, 0], place[0, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
+        value, gx, gy = signed_distance(coef[k], ox, oy, scale[k], place[0, 0], place[0, 1])
+        slope[0, 0], slope[0, 1] = gx, gy
+        calibration_effect(place, slope, mount, effect)
+        matrices[m, 3], matrices[m, 4] = -effect[0, 0], -effect[0, 1]
         if int(setup[RULE]) == JACOBIAN:
             wx, wy = cosine * gx - sine * gy, sine * gx + cosine * gy
             matrices[m, 0], matrices[m, 1], matrices[m, 2] = -wx, -wy, wx * dy - wy * dx
-            matrices[m, 3], matrices[m, 4] = wx, wy
+            matrices[m, 5], matrices[m, 6] = wx, wy
             distances[m], residuals[m] = value, 0.0
             continue
         sighting_block(packed, indices[m], cov)
@@ -190,44 +253,62 @@ def regress_distances(setup, mean, packed, indices, piece, coef, origin, scale, 
             for sign in range(2):
                 for q in range(5):
                     deviation[q] = spread * root[q, i] if sign == 0 else -spread * root[q, i]
-                points[sign, i, 0] = _distance_at(setup, mean, sample, deviation, coef[k], ox, oy, scale[k]) - value
+                points[sign, i, 0] = (
+                    _distance_at(setup, mean, sample, deviation, coef[k], ox, oy, scale[k]) - value
+                )
         regress(setup, points[0], points[1], 5, 1, root, offset, matrix, residual, 0)
         if invariant:
             matrix[0, 2] += dy * matrix[0, 3] - dx * matrix[0, 4]
-        matrices[m] = matrix[0]
+        matrices[m, :3], matrices[m, 5:] = matrix[0, :3], matrix[0, 3:]
         distances[m], residuals[m] = value + offset[0], residual[0, 0]
     return OK
 
 
+CALIBRATION = 3  # where the scanner's calibration stands in the state: bearing scale, range offset
+SAMPLES = 5  # where the samples begin
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _fill_scalar_rows(n, matrices, rows, work):
-    """work[m, :n] = A_m P from the gathered rows of P: two a sample, then three of the pose."""
-    count = len(matrices)
-    x_row, y_row, turn_row = rows[2 * count], rows[2 * count + 1], rows[2 * count + 2]
-    for m in range(count):
-        first, second, row = rows[2 * m], rows[2 * m + 1], work[m]
+    """work[m, :n] = A_m P from the gathered rows of P: two of the calibration, two a sample, three of the pose."""
+    pose = 2 * len(matrices) + 2
+    x_row, y_row, turn_row, scale_row, offset_row = (
+        rows[pose],
+        rows[pose + 1],
+        rows[pose + 2],
+        rows[0],
+        rows[1],
+    )
+    for m in range(len(matrices)):
+        first, second, row = rows[2 * m + 2], rows[2 * m + 3], work[m]
         a, b, c, d, e = matrices[m, 0], matrices[m, 1], matrices[m, 2], matrices[m, 3], matrices[m, 4]
+        f, g = matrices[m, 5], matrices[m, 6]
         for i in range(n):
-            row[i] = a * x_row[i] + b * y_row[i] + c * turn_row[i] + d * first[i] + e * second[i]
+            row[i] = a * x_row[i] + b * y_row[i] + c * turn_row[i] + f * first[i] + g * second[i]
+        for i in range(n):
+            row[i] += d * scale_row[i] + e * offset_row[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise, left, right):
-    """One joint update with M scalars, each of (pose, one sample). Returns (status, NIS).
+    """One joint update with M scalars, each of (pose, calibration, one sample). Returns (status, NIS).
 
-    indices: (M,) where the samples begin. matrices: (M, 5). innovation: (M,) m, overwritten. noise: (M, M) m^2, the
+    indices: (M,) where the samples begin. matrices: (M, 7). innovation: (M,) m, overwritten. noise: (M, M) m^2, the
     lower triangle is read. left, right: work space of at least (2 M + 6, n). After an error nothing has been changed.
     """
     count = len(indices)
-    gather_rows(packed, n, indices, left)
+    wanted = np.empty(count + 1, dtype=np.int64)
+    wanted[0] = CALIBRATION
+    wanted[1:] = indices
+    gather_rows(packed, n, wanted, left)
     _fill_scalar_rows(n, matrices, left, right)
-    left[count + 2, :n] = left[2 * count + 2, :n]
+    left[count + 2, :n] = left[2 * count + 4, :n]
     root = np.zeros((count, count))
     for i in range(count):
         for j in range(i + 1):
             index = indices[j]
-            total = noise[i, j] + matrices[j, 3] * right[i, index] + matrices[j, 4] * right[i, index + 1]
-            for p in range(3):
+            total = noise[i, j] + matrices[j, 5] * right[i, index] + matrices[j, 6] * right[i, index + 1]
+            for p in range(5):
                 total += matrices[j, p] * right[i, p]
             for p in range(j):
                 total -= root[i, p] * root[j, p]
@@ -238,6 +319,20 @@ def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise
             else:
                 root[i, j] = total / root[j, j]
     return apply_rows(setup, mean, packed, n, count, root, innovation, left, right)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def calibration_effect(points, normals, mount, effect):
+    """effect (M, 2): how far the scanner shifts what it shows at `points` along `normals`, m a unit of its calibration.
+
+    points, normals: (M, 2) in the robot's frame. A bearing b truly is (1 + scale) b, a range r truly r + offset.
+    """
+    for m in range(len(points)):
+        x, y = points[m, 0] - mount[0], points[m, 1] - mount[1]
+        r = max(1e-9, math.hypot(x, y))
+        bearing = wrap(math.atan2(y, x) - mount[2])
+        effect[m, 0] = bearing * (normals[m, 1] * x - normals[m, 0] * y)
+        effect[m, 1] = (normals[m, 0] * x + normals[m, 1] * y) / r
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -288,11 +383,18 @@ def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def append_samples(mean, packed, n, points, normal, noise):
-    """Append samples that a scan shows at `points` (M, 2), in the robot's frame; returns the new n. The buffers must have room.
+def _entry(packed, i, j):
+    """P[i, j] of the packed lower triangle."""
+    return packed[i * (i + 1) // 2 + j] if j <= i else packed[j * (j + 1) // 2 + i]
 
-    normal: (M, 2) unit, in the robot's frame. noise: (M, M) m^2, covariance of the points along their normals; along
-    the contour a sample is where it is by definition. O(M n).
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def append_samples(mean, packed, n, points, normal, effect, noise):
+    """Append samples that a scan shows at `points` (M, 2), in the robot's frame; returns the new n.
+
+    The buffers must have room. normal: (M, 2) unit, in the robot's frame. effect: (M, 2), see `calibration_effect`.
+    noise: (M, M) m^2, covariance of the points along their normals; along the contour a sample is where it is by
+    definition. O(M n).
     """
     c, s = math.cos(mean[2]), math.sin(mean[2])
     count, before = len(points), n
@@ -309,12 +411,16 @@ def append_samples(mean, packed, n, points, normal, noise):
                 if j < before:
                     own = packed[r * (r + 1) // 2 + j] if j <= r else packed[j * (j + 1) // 2 + r]
                     turn = packed[3 + j] if j <= 2 else packed[j * (j + 1) // 2 + 2]
-                    packed[start + j] = own + lever[r] * turn
+                    bias, shift = _entry(packed, CALIBRATION, j), _entry(packed, CALIBRATION + 1, j)
+                    calibrated = effect[m, 0] * bias + effect[m, 1] * shift
+                    packed[start + j] = own + lever[r] * turn + turned[m, r] * calibrated
                 else:  # another new sample, or this one: through the pose, and the piece's noise
                     q, a = (j - before) // 2, (j - before) % 2
                     px, py = c * points[q, 0] - s * points[q, 1], s * points[q, 0] + c * points[q, 1]
                     arm = -py if a == 0 else px
                     total = packed[start + a] + arm * packed[start + 2]
+                    bias, shift = packed[start + CALIBRATION], packed[start + CALIBRATION + 1]
+                    total += turned[q, a] * (effect[q, 0] * bias + effect[q, 1] * shift)
                     packed[start + j] = total + turned[m, r] * turned[q, a] * noise[m, q]
             mean[n + r] = mean[r] + (rx if r == 0 else ry)
         n += 2

@@ -134,10 +134,10 @@ def search_places(levels, low, cell, points, normals, centre, angles, half, leas
         c, s = math.cos(angles[a]), math.sin(angles[a])
         for p in range(len(points)):
             x, y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
-            cells[a, p, 0] = int(math.floor((y + centre[1] - low[1]) / cell))
-            cells[a, p, 1] = int(math.floor((x + centre[0] - low[0]) / cell))
+            cells[a, p, 0] = math.floor((y + centre[1] - low[1]) / cell)
+            cells[a, p, 1] = math.floor((x + centre[0] - low[0]) / cell)
             turn = math.atan2(s * normals[p, 0] + c * normals[p, 1], c * normals[p, 0] - s * normals[p, 1])
-            cells[a, p, 2] = int(round(turn / (2.0 * math.pi) * directions)) % directions
+            cells[a, p, 2] = round(turn / (2.0 * math.pi) * directions) % directions
         for i in range(steps):
             for j in range(steps):
                 at = (a * steps + i) * steps + j
@@ -155,7 +155,13 @@ def search_places(levels, low, cell, points, normals, centre, angles, half, leas
         top = 1
         while top > 0:
             top -= 1
-            a, row, column, level, value = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4]
+            a, row, column, level, value = (
+                stack[top, 0],
+                stack[top, 1],
+                stack[top, 2],
+                stack[top, 3],
+                stack[top, 4],
+            )
             if value < max(least * full, values[-1]):
                 continue
             if level == 0:
@@ -176,7 +182,7 @@ def search_places(levels, low, cell, points, normals, centre, angles, half, leas
 @njit(cache=True, nogil=True, error_model="numpy")
 def facing_segment(x, y, nx, ny, segments, normals, nearest, low, cell):
     """The segment that a point with a normal lies beside, and its signed distance m; (-1, 0) if there is none."""
-    row, column = int(math.floor((y - low[1]) / cell)), int(math.floor((x - low[0]) / cell))
+    row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
     if row < 0 or column < 0 or row >= nearest.shape[0] or column >= nearest.shape[1]:
         return -1, 0.0
     s = nearest[row, column]
@@ -190,12 +196,15 @@ def facing_segment(x, y, nx, ny, segments, normals, nearest, low, cell):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def align_points(pose, points, point_normals, segments, normals, nearest, low, cell, limits, rounds, sigma, beside, offsets):
+def align_points(
+    pose, points, point_normals, segments, normals, nearest, low, cell, limits, rounds, sigma, beside, offsets
+):
     """Move `pose`, of the points' frame in the map's, to where the points lie best on the map's contours.
 
-    limits: (2,) m, the greatest distance of a match in the first and the last round. sigma: m, scale of Cauchy's weights.
-    Writes for every point the segment that it matches, or -1 (none beside it) or -2 (beside one, but too far), and its
-    signed distance m, both of the last round. Returns (matches, points beside a contour, mean squared distance).
+    limits: (2,) m, the greatest distance of a match in the first and the last round. sigma: m, scale of Cauchy's
+    weights. Writes for every point the segment that it matches, or -1 (none beside it) or -2 (beside one, but too far),
+    and its signed distance m, both of the last round. Returns (matches, points beside a contour, mean squared
+    distance).
     """
     normal, right = np.empty((3, 3)), np.empty(3)
     matched, near, squares = 0, 0, 0.0

@@ -254,16 +254,20 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     spacing: m between samples on a straight contour; it shrinks with curvature.
     sigma_offset, sigma_askew_deg: m and deg, by how much a whole piece of one scan is off beyond its points' noise: the
         scan is taken on the move, and surfaces reflect unevenly.
+    sigma_bearing_scale, sigma_range_offset: share and m, how far the scanner's angles and ranges may be off as a whole,
+        which the map estimates; 0: they are right.
     """
 
     method: ContourMethod | None = None
     update_distance: Positive = 0.1
     update_angle_deg: Positive = 10.0
     close_samples: Annotated[int, msgspec.Meta(ge=20, le=5_000)] = 300
-    close_distance: Positive = 15.0
+    close_distance: Positive = 10.0
     spacing: Positive = 0.3
     sigma_offset: NonNegative = 0.01
     sigma_askew_deg: NonNegative = 0.3
+    sigma_bearing_scale: NonNegative = 0.01
+    sigma_range_offset: NonNegative = 0.03
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -96,7 +96,18 @@ class Shape(msgspec.Struct, frozen=True, eq=False, dict=True):
         distance = np.full((rows, columns), REACH, dtype=np.float32)
         correlate.nearest_segments(segments, low, CELL, REACH, nearest, distance)
         return cls(
-            pairs, segments, normals, points, normals[segment], segment, share, centre, radius, low, nearest, distance
+            pairs,
+            segments,
+            normals,
+            points,
+            normals[segment],
+            segment,
+            share,
+            centre,
+            radius,
+            low,
+            nearest,
+            distance,
         )
 
     @cached_property
@@ -113,7 +124,11 @@ def neighbours(samples: np.ndarray, normals: np.ndarray, spacing: float) -> np.n
     Each sample has at most one neighbour to either side: the nearest within 1.6 spacings whose normal agrees within 40
     degrees, not more than a third of the way aside; and two are joined if each is the other's.
     """
-    close = cKDTree(samples).query_pairs(1.6 * spacing, output_type="ndarray") if len(samples) else np.zeros((0, 2), int)
+    close = (
+        cKDTree(samples).query_pairs(1.6 * spacing, output_type="ndarray")
+        if len(samples)
+        else np.zeros((0, 2), int)
+    )
     both = np.concatenate([close, close[:, ::-1]])
     way = samples[both[:, 1]] - samples[both[:, 0]]
     own, other = normals[both[:, 0]], normals[both[:, 1]]

@@ -22,8 +22,11 @@ class Relation(msgspec.Struct, frozen=True):
     loop: bool = False
 
 
+CAUCHY = 12.0  # squared distance at which a relation has half its weight: one in a hundred is beyond
+
+
 class FrameGraph:
-    """Frames (n, 3) in the map; the first one is the map's own. Solved by Gauss-Newton."""
+    """Frames (n, 3) in the map; the first one is the map's own. Solved by Gauss-Newton, outliers weighed down."""
 
     def __init__(self) -> None:
         self.frames = np.zeros((1, 3))
@@ -42,8 +45,14 @@ class FrameGraph:
         self.relations.append(relation)
         self._covariance = None
 
+    def copy(self) -> FrameGraph:
+        """A graph of its own in the same state."""
+        other = FrameGraph()
+        other.frames, other.relations = self.frames.copy(), list(self.relations)
+        return other
+
     def solve(self, rounds: int = 10, tolerance: float = 1e-7) -> None:
-        """Move the frames to where the relations want them, loops weighed down by Cauchy's rule."""
+        """Move the frames to where the relations want them."""
         for _ in range(rounds):
             information, right = self._normal()
             step = np.linalg.solve(information, right).reshape(-1, 3)
@@ -77,8 +86,7 @@ class FrameGraph:
     def _normal(self) -> tuple[np.ndarray, np.ndarray]:
         first, second, residual, information, by_first, by_second = self._linearised()
         squared = np.einsum("ri,rij,rj->r", residual, information, residual)
-        loop = np.array([r.loop for r in self.relations])
-        weight = np.where(loop, 1.0 / (1.0 + squared / 12.0), 1.0)
+        weight = 1.0 / (1.0 + squared / CAUCHY)
         weighed = information * weight[:, None, None]
         count = 3 * len(self.frames)
         matrix, right = np.zeros((count, count)), np.zeros(count)

@@ -12,7 +12,8 @@ from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
 from kalmap.kernels.implicit import distance_rows
-from kalmap.kernels.layout import OK
+from kalmap.kernels.layout import BIAS_COUNT, OK
+from kalmap.kernels.packed import pack
 from kalmap.models import RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
@@ -20,9 +21,27 @@ from kalmap.records import ContourConfig, Odometry, Scan, SensorConfig
 from kalmap.slam.engines import CompiledEngine
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
-FIRST_LIMIT, LAST_LIMIT = 0.5, 0.15  # m, how far from a curve a sample may lie in the first round and in the last
+FIRST_LIMIT, LAST_LIMIT = (
+    0.5,
+    0.15,
+)  # m, how far from a curve a sample may lie in the first round and in the last
 OPEN_SCANS = 3  # scans in a row that look through a sample before it is retired
+TRUSTED_SHARE = 0.6  # of the samples in view that a scan finds, below which it is tried elsewhere
+LEAST_IN_VIEW = 10  # samples
+BETTER = 1.5  # how many times better another place must be
+TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
+ASTRAY = np.diag([0.5**2, 0.5**2, 0.1**2])
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
+
+
+class Calibration(msgspec.Struct, frozen=True):
+    """What is known of the scanner: mean (2,) and covariance (2, 2) of its bearing scale and its range offset m.
+
+    A bearing b truly is (1 + scale) b, a range r truly is r + offset.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
 
 
 class Rules(msgspec.Struct, frozen=True):
@@ -32,6 +51,12 @@ class Rules(msgspec.Struct, frozen=True):
     sensor: SensorConfig
     contour: ContourConfig
     cut: CutConfig
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is known of the scanner before the drive."""
+        sigmas = np.array([self.contour.sigma_bearing_scale, self.contour.sigma_range_offset])
+        return Calibration(np.zeros(2), np.diag(sigmas**2))
 
     @property
     def mount(self) -> np.ndarray:
@@ -62,8 +87,16 @@ class Seen(msgspec.Struct, frozen=True):
     piece_of_beam: np.ndarray
 
 
-def prepare(scan: Scan, rules: Rules) -> Seen:
-    """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep."""
+def prepare(scan: Scan, rules: Rules, calibration: np.ndarray) -> Seen:
+    """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep.
+
+    calibration: (2,) bearing scale and range offset m, which are taken out.
+    """
+    turned, lengthened = (
+        np.asarray(scan.bearings) * (1.0 + calibration[0]),
+        np.asarray(scan.ranges) + calibration[1],
+    )
+    scan = msgspec.structs.replace(scan, bearings=turned, ranges=lengthened)
     pieces = cut_scan(scan, rules.sensor, rules.cut)
     piece_of_beam = np.full(len(scan.bearings), -1, dtype=np.int64)
     piece_of_beam[pieces.beam] = pieces.piece
@@ -81,15 +114,33 @@ class LiveMap:
     a row that looked through it. length: m driven. nis, used: of the last scan.
     """
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: Rules, calibration: Calibration | None = None) -> None:
         self.rules = rules
         self.belief = Belief(np.zeros(3), np.zeros((3, 3)))
+        self._calibrate(calibration or rules.calibration)
+        self._setup = rules.engine.setup.copy()
+        self._setup[BIAS_COUNT] = 2  # the scanner's calibration is not turned with the map
         self._since = Belief(np.zeros(3), np.zeros((3, 3)))
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
         self.length = 0.0
         self.nis, self.used = float("nan"), 0
+
+    def _calibrate(self, calibration: Calibration) -> None:
+        belief = self.belief
+        whole = np.zeros((kernel.SAMPLES, kernel.SAMPLES))
+        whole[3:, 3:] = calibration.covariance
+        belief.reserve(kernel.SAMPLES)
+        belief.mean[3:5] = calibration.mean
+        pack(whole, kernel.SAMPLES, belief.packed)
+        belief.n = kernel.SAMPLES
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is known of the scanner now."""
+        entries = np.array([kernel.CALIBRATION, kernel.CALIBRATION + 1])
+        return Calibration(self.belief.mean[entries], self.belief.block(entries))
 
     @property
     def count(self) -> int:
@@ -104,8 +155,7 @@ class LiveMap:
     @property
     def samples(self) -> np.ndarray:
         """(N, 2) m; a copy."""
-        robot = self.belief.robot
-        return self.belief.mean[robot : self.belief.n].reshape(-1, 2).copy()
+        return self.belief.mean[kernel.SAMPLES : self.belief.n].reshape(-1, 2).copy()
 
     def predict(self, event: Odometry) -> None:
         """Odometry: equations (5) and (6)."""
@@ -124,41 +174,60 @@ class LiveMap:
         self._since = Belief(self.belief.mean[:3], np.zeros((3, 3)))
         self._retire()
 
-    def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where a scan fits the samples best. prior: (3, 3) covariance of `pose`.
 
-        Returns the pose (3,), what became of each sample (N,) (its piece, or HIDDEN, OPEN, ASIDE), and how many
-        were found.
+        Where few of the samples in view are found there, the odometry may have jumped: then the scan is tried all
+        around, and goes where clearly more of them are found. Returns the pose (3,) and what became of each sample
+        (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
+        fitted, found = self._fit_from(seen, pose, prior)
+        share = _share(found)
+        if share >= TRUSTED_SHARE or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
+            return fitted, found
+        best = BETTER * (found >= 0).sum() * share
+        for turn in TURNS:
+            start = np.array([pose[0], pose[1], pose[2] + turn])
+            other, there = self._fit_from(seen, start, ASTRAY)
+            value = (there >= 0).sum() * _share(there)
+            if value > best:
+                best, fitted, found = value, other, there
+        return fitted, found
+
+    def _fit_from(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The fit that begins at one pose."""
         fitted, information = pose.copy(), np.linalg.inv(prior + np.diag([1e-6, 1e-6, 1e-7]))
         found, distances = np.empty(self.count, dtype=np.int64), np.empty(self.count)
         pieces = seen.pieces
-        number, _ = kernel.fit_pose(
+        kernel.fit_pose(
             fitted, information, self.samples, self.normals, self.rules.mount, seen.bearings, seen.ranges,
             seen.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, pieces.sigma, self.rules.sensor.max_range,
             np.array([FIRST_LIMIT, LAST_LIMIT]), ROUNDS, found, distances, np.empty((self.count, 2)),
         )  # fmt: skip
-        return fitted, found, number
+        fitted[2] = wrap(fitted[2])
+        return fitted, found
 
     def _correct(self, seen: Seen) -> None:
         """Equations (7) to (11), with the distances' derivatives taken where the scan fits the samples."""
-        belief, pieces, engine = self.belief, seen.pieces, self.rules.engine
-        fitted, found, number = self.fit(seen, belief.mean[:3], self._since.robot_covariance()[:3, :3])
+        belief, pieces = self.belief, seen.pieces
+        fitted, found = self.fit(seen, belief.mean[:3], self._since.robot_covariance()[:3, :3])
         self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
-        if not number:
-            return
         rows = np.flatnonzero(found >= 0)
-        indices, piece = belief.robot + 2 * rows, found[rows]
+        if not len(rows):
+            return
+        indices, piece = kernel.SAMPLES + 2 * rows, found[rows]
         belief.flush()
         at = belief.mean
-        if not engine.setup[kernel.RULE]:  # a Jacobian is taken where the scan fits best, sigma points about the mean
+        if not self._setup[
+            kernel.RULE
+        ]:  # a Jacobian is taken where the scan fits best, sigma points about the mean
             at = belief.mean.copy()
             at[:3] = fitted
-        matrices, distances = np.empty((len(rows), 5)), np.empty(len(rows))
+        matrices, distances = np.empty((len(rows), 7)), np.empty(len(rows))
         residuals = np.empty(len(rows))
         status = kernel.regress_distances(
-            engine.setup, at, belief.packed, indices, piece, pieces.coef, pieces.origin, pieces.scale, matrices,
-            distances, residuals,
+            self._setup, at, belief.packed, self.rules.mount, indices, piece, pieces.coef, pieces.origin, pieces.scale,
+            matrices, distances, residuals,
         )  # fmt: skip
         moved = belief.mean[:3] - at[:3]
         moved[2] = wrap(moved[2])
@@ -169,7 +238,16 @@ class LiveMap:
         left, right = belief.work(2 * len(rows))
         if status == OK:
             status, self.nis = kernel.apply_distances(
-                engine.setup, belief.mean, belief.packed, belief.n, indices, matrices, innovation, noise, left, right
+                self._setup,
+                belief.mean,
+                belief.packed,
+                belief.n,
+                indices,
+                matrices,
+                innovation,
+                noise,
+                left,
+                right,
             )
         if status != OK:
             raise NotPositiveError("the covariance of a local map is not positive definite")
@@ -213,7 +291,9 @@ class LiveMap:
         belief.flush()
         belief.reserve(belief.n + 2 * count)
         noise = self._noise(pieces, piece, new)
-        belief.n = kernel.append_samples(belief.mean, belief.packed, belief.n, new, normal, noise)
+        effect = np.empty((count, 2))
+        kernel.calibration_effect(new, normal, self.rules.mount, effect)
+        belief.n = kernel.append_samples(belief.mean, belief.packed, belief.n, new, normal, effect, noise)
         self.normals = np.concatenate([self.normals, rotate(belief.mean[2], normal)])
         self.sightings = np.concatenate([self.sightings, np.ones(count, dtype=np.int64)])
         self.open = np.concatenate([self.open, np.zeros(count, dtype=np.int64)])
@@ -222,9 +302,14 @@ class LiveMap:
         """Marginalise out the samples that scans look through: what stood there is gone, or never stood still."""
         gone = np.flatnonzero((self.open >= OPEN_SCANS) & (self.open > self.sightings))
         for row in gone[::-1]:
-            self.belief.remove(self.belief.robot + 2 * int(row), 2)
+            self.belief.remove(kernel.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
         self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
+
+
+def _share(found: np.ndarray) -> float:
+    """Of the samples in view, the share that a scan finds."""
+    return float((found >= 0).sum() / max(1, (found != kernel.HIDDEN).sum()))
 
 
 def _turned_back(pose: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 
 from kalmap.geometry.angles import wrap
-from kalmap.geometry.se2 import rotate
+from kalmap.geometry.se2 import compose, rotate
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.graph import FrameGraph, Relation
 from kalmap.slam.contours.matching import Overlay, overlay, search
@@ -15,8 +14,12 @@ GATE = 16.3  # squared distance of three numbers that chance exceeds once in a t
 LEAST_MATCHED = 8.0  # m of contour that must lie on each other
 LEAST_AGREEMENT = 0.75
 AMBIGUOUS = 0.8  # a second place this good, as a share of the best, leaves the loop open
+CONTRADICTS = "the place contradicts the drive"
+VOTES = 2  # maps that must say the same against the drive
+VOTED_MATCHED = 20.0  # m of contour that they must say it of
 WIDEST, FARTHEST_TURN = 8.0, 0.7  # m and rad, the largest search
 SURE, SURE_TURN = 0.5, 0.1  # m and rad: where the place is known better than this, there is nothing to search
+PRIOR_SCALE, PRIOR_COUNT = 4.0, 3  # of the errors' scale, before maps have been seen
 FLOOR = np.diag([0.01**2, 0.01**2, 0.002**2])  # of a relation's covariance: maps bend
 
 
@@ -32,28 +35,77 @@ class Loops:
         self.graph = FrameGraph()
         self.open: dict[tuple[int, int], str] = {}
         self.searched = 0
+        self._misfits: list[float] = []
 
     def close(self, closed: ClosedMap) -> None:
         """Take a map that has been closed, and look for its loops."""
         if self.maps:
             last = self.maps[-1]
-            self.graph.append(last.end, last.end_covariance + FLOOR)
+            self.graph.append(last.end, self.scale * (last.end_covariance + FLOOR))
         self.maps.append(closed)
         self._seek(len(self.maps) - 1)
 
+    @property
+    def scale(self) -> float:
+        """How much wider errors are than the maps' covariances say, in variance, as seen where maps follow each other.
+
+        The place of a map by the end of the one before, against the place by what both show.
+        """
+        return max(
+            1.0, (PRIOR_SCALE * PRIOR_COUNT + sum(self._misfits) / 3.0) / (PRIOR_COUNT + len(self._misfits))
+        )
+
     def _seek(self, number: int) -> None:
-        """Look for the map among all earlier ones, the surest places first."""
+        """Look for the map among all earlier ones, the surest places first; then ask those that were not believed."""
         waiting = list(range(number))
+        doubted: list[tuple[int, Overlay]] = []
         while waiting:
             at = [self._looseness(i, number) for i in waiting]
             best = int(np.argmin(at))
             if not np.isfinite(at[best]):
                 break
             first = waiting.pop(best)
-            found = self._lay(first, number)
-            if found is not None:
-                self.graph.add(found)
-                self.graph.solve()
+            found, problem = self._lay(first, number)
+            if problem is None and found is not None:
+                self._believe(first, number, found)
+            elif problem is not None:
+                self.open[first, number] = problem
+                if found is not None and problem.startswith(CONTRADICTS):
+                    doubted.append((first, found))
+        self._vote(number, doubted)
+
+    def _believe(self, first: int, second: int, found: Overlay) -> None:
+        """Take a loop as true, and move the frames."""
+        self.open.pop((first, second), None)
+        information = np.linalg.inv(self.scale * (found.covariance + FLOOR))
+        self.graph.add(Relation(first, second, found.pose, information, loop=True))
+        self.graph.solve()
+
+    def _vote(self, number: int, doubted: list[tuple[int, Overlay]]) -> None:
+        """Believe places that contradict the drive but not each other: then it is the drive that is wrong.
+
+        Several maps must say the same, over enough contour, and what was believed before must still hold.
+        """
+        if len(doubted) < VOTES:
+            return
+        places = np.array([compose(self.graph.frames[first], found.pose) for first, found in doubted])
+        apart = places[:, None] - places[None]
+        same = (np.hypot(apart[..., 0], apart[..., 1]) < 0.3) & (np.abs(wrap(apart[..., 2])) < 0.06)
+        group = np.flatnonzero(same[int(np.argmax(same.sum(axis=1)))])
+        matched = sum(doubted[i][1].matched for i in group)
+        if len(group) < VOTES or matched < VOTED_MATCHED:
+            return
+        before, kept = self.graph.copy(), dict(self.open)
+        held = self._held()
+        for i in group:
+            self._believe(doubted[i][0], number, doubted[i][1])
+        if self._held() < held + len(group):
+            self.graph, self.open = before, kept
+
+    def _held(self) -> int:
+        """How many loops agree with where the frames are."""
+        loops = np.array([relation.loop for relation in self.graph.relations])
+        return int((self.graph.distances()[loops] < GATE).sum()) if loops.any() else 0
 
     def _looseness(self, first: int, second: int) -> float:
         """How unsure the place of one map on the other is, in m; infinite where they cannot touch."""
@@ -65,8 +117,8 @@ class Loops:
             return np.inf
         return spread
 
-    def _lay(self, first: int, second: int) -> Relation | None:
-        """The relation of two maps, if they lie on each other in one place and in no other."""
+    def _lay(self, first: int, second: int) -> tuple[Overlay | None, str | None]:
+        """The best place of one map on another, and why it is not believed, if it is not."""
         self.searched += 1
         guess, covariance = self.graph.between(first, second)
         a, b = self.maps[first], self.maps[second]
@@ -77,31 +129,35 @@ class Loops:
             places += search(a, b, guess, half, turn)
         overlays = [each for place in places if (each := overlay(a, b, place)) is not None]
         overlays.sort(key=lambda each: -each.matched * each.agreement)
-        problem = self._problem(overlays, guess, covariance)
-        if problem is not None:
-            if overlays and overlays[0].matched >= LEAST_MATCHED:
-                self.open[first, second] = problem
-            return None
-        self.open.pop((first, second), None)
-        best = overlays[0]
-        return Relation(first, second, best.pose, np.linalg.inv(best.covariance + FLOOR), loop=True)
-
-    @staticmethod
-    def _problem(overlays: list[Overlay], guess: np.ndarray, covariance: np.ndarray) -> str | None:
-        """Why the best of the places is not believed; None if it is."""
         if not overlays or overlays[0].matched < LEAST_MATCHED:
-            return "too little lies on each other"
+            return None, None
+        best = overlays[0]
+        if second == first + 1:
+            squared = _distance(best, a.end, a.end_covariance)
+            self._misfits.append(min(squared, 30.0))
+        return best, self._problem(overlays, guess, covariance, second == first + 1)
+
+    def _problem(
+        self, overlays: list[Overlay], guess: np.ndarray, covariance: np.ndarray, following: bool
+    ) -> str | None:
+        """Why the best of the places is not believed; None if it is."""
         best = overlays[0]
         if best.agreement < LEAST_AGREEMENT:
             return f"only {best.agreement:.0%} of what lies side by side agrees"
-        shift = best.pose - guess
-        shift[2] = wrap(shift[2])
-        squared = float(shift @ np.linalg.solve(covariance + best.covariance + FLOOR, shift))
-        if squared > GATE:
-            return f"the place contradicts the drive: squared distance {squared:.0f}"
         for other in overlays[1:]:
             apart = other.pose - best.pose
             elsewhere = np.hypot(apart[0], apart[1]) > 0.3 or abs(wrap(apart[2])) > 0.1
             if elsewhere and other.matched * other.agreement > AMBIGUOUS * best.matched * best.agreement:
                 return "another place is nearly as good"
-        return None
+        shift = best.pose - guess
+        if following and np.hypot(shift[0], shift[1]) < SURE and abs(wrap(shift[2])) < SURE_TURN:
+            return None  # the odometry jumped, or the wheels slipped: both maps show the same place
+        squared = _distance(best, guess, covariance, self.scale)
+        return f"{CONTRADICTS}: squared distance {squared:.0f}" if squared > GATE else None
+
+
+def _distance(found: Overlay, guess: np.ndarray, covariance: np.ndarray, scale: float = 1.0) -> float:
+    """Squared Mahalanobis distance of a place that was found from where it was thought to be."""
+    shift = found.pose - guess
+    shift[2] = wrap(shift[2])
+    return float(shift @ np.linalg.solve(covariance + scale * (found.covariance + FLOOR), shift))

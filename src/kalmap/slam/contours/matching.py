@@ -77,7 +77,9 @@ def _relation(
     spread += _of_segments(second, b.pairs[b.segment[rows]], b.share[rows], rotate(-pose[2], normals))
     root = np.linalg.cholesky(spread)
     white = np.linalg.solve(root, np.column_stack([design, offsets]))
-    information = white[:, :3].T @ white[:, :3] + np.diag([1e-4, 1e-4, 1e-4])  # 100 m and 57 deg: not held at all
+    information = white[:, :3].T @ white[:, :3] + np.diag(
+        [1e-4, 1e-4, 1e-4]
+    )  # 100 m and 57 deg: not held at all
     covariance = np.linalg.inv(information)
     shift = -covariance @ white[:, :3].T @ white[:, 3]
     left = white[:, 3] + white[:, :3] @ shift
@@ -98,7 +100,9 @@ def _of_segments(closed: ClosedMap, pairs: np.ndarray, share: np.ndarray, normal
     return np.asarray(rows @ block @ rows.T)
 
 
-def search(first: ClosedMap, second: ClosedMap, guess: np.ndarray, half: float, turn: float) -> list[np.ndarray]:
+def search(
+    first: ClosedMap, second: ClosedMap, guess: np.ndarray, half: float, turn: float
+) -> list[np.ndarray]:
     """Places of `second` on `first`, best first, within `half` m and `turn` rad of where it is thought to be."""
     a, b = first.shape, second.shape
     if not len(a.points) or not len(b.points):
