@@ -44,22 +44,28 @@ class LandmarkJoiner(msgspec.Struct, frozen=True):
     tolerance: float = TOLERANCE
 
     def __call__(self, first: LocalMap, second: LocalMap) -> LocalMap | None:
-        """The joined map, None where it is refused."""
+        """The joined map, None where it is refused: outside the gate, or nothing between the two maps settles."""
         pairs = self.pairing(first, second)
         if pairs is None:
             return None
-        size = first.size + second.size - 2 * len(pairs)
-        dense = first.covariance is not None and second.covariance is not None and size <= self.dense_limit
-        try:
-            joined = (
-                join(first, second, pairs) if dense else join_sparse(first, second, pairs, self.tolerance)
-            )
-        except NotSettledError:
-            if self.gate >= 1.0:
-                raise
+        joined = self._joined(first, second, pairs)
+        if joined is None:
             return None
         squared = joined.squared - first.squared - second.squared
         return None if squared > chi_square(self.gate, 2 * len(pairs)) else joined
+
+    def _joined(self, first: LocalMap, second: LocalMap, pairs: np.ndarray) -> LocalMap | None:
+        """In the form that suits the size; the other one where maps joined before are linearised too far away."""
+        size = first.size + second.size - 2 * len(pairs)
+        if first.covariance is not None and second.covariance is not None and size <= self.dense_limit:
+            try:
+                return join(first, second, pairs)
+            except NotSettledError:
+                pass
+        try:
+            return join_sparse(first, second, pairs, self.tolerance)
+        except NotSettledError:
+            return None
 
 
 def chained(first: LocalMap, second: LocalMap, tolerance: float = TOLERANCE) -> LocalMap:
