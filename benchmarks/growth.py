@@ -39,9 +39,10 @@ def increments(side: float) -> Iterator[np.ndarray]:
     for lane in range(round(side / LANE)):
         for _ in range(int(side / STEP)):
             yield along
-        turn = (1.0 if lane % 2 == 0 else -1.0) * STEP / radius
-        chord = np.array([radius * math.sin(abs(turn)), radius * (1 - math.cos(turn)) * np.sign(turn), turn])
-        for _ in range(round(math.pi * radius / STEP)):
+        count = round(math.pi * radius / STEP)
+        turn, side_of = math.pi / count, 1.0 if lane % 2 == 0 else -1.0
+        chord = np.array([radius * math.sin(turn), side_of * radius * (1.0 - math.cos(turn)), side_of * turn])
+        for _ in range(count):
             yield chord
 
 
