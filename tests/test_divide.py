@@ -35,7 +35,10 @@ def course():
     return simulate(world_by_name("course-35"), 11)
 
 
-def _run(log, divide=DivideConfig(on=True, close_landmarks=12), **changes):
+TWELVE = DivideConfig(on=True, close_landmarks=12)
+
+
+def _run(log, divide=TWELVE, **changes):
     config = msgspec.structs.replace(log.defaults, divide=divide, **changes)
     slam = slam_from_config(config, log)
     outcome = run(slam, log, reckon=False)
@@ -164,7 +167,9 @@ def _two_maps(moved: float, gate: float | None):
     rng = np.random.default_rng(2)
     landmarks = np.column_stack([np.linspace(0.0, 18.0, 10), 4.0 * (-1.0) ** np.arange(10)])
     slam = LandmarkSlam(Increments(), RangeBearing(sigma_range=0.05, sigma_bearing=0.005))
-    divided = DivideAndConquer(slam, DivideConfig(on=True, close_distance=4.0, close_landmarks=5000, gate=gate))
+    divided = DivideAndConquer(
+        slam, DivideConfig(on=True, close_distance=4.0, close_landmarks=5000, gate=gate)
+    )
     pose, covariance = np.zeros(3), np.diag([1e-4, 1e-4, 1e-5])[None]
     for number in range(8):
         step = np.array([0.9, 0.0, 0.0])

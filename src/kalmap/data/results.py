@@ -84,6 +84,17 @@ def write_result(
     return {name: folder / name for name in (*contents, MANIFEST)}
 
 
+def write_landmarks(folder: Path, estimate: Estimate, provenance: dict[str, Any]) -> None:
+    """Write a map alone, as `write_result` does: csv, GeoJSON and the native map."""
+    contents = {
+        LANDMARKS_CSV: _landmarks_csv(estimate.landmarks).encode(),
+        LANDMARKS_GEOJSON: _landmarks_geojson(estimate).encode(),
+        MAP: map_bytes(estimate, provenance),
+    }
+    for name, content in contents.items():
+        write_atomically(folder / name, content)
+
+
 def check_result_folder(folder: Path | str) -> None:
     """Raise `KalmapError` unless a result may be written here.
 

@@ -74,24 +74,30 @@ class Forest(Generic[M]):
             self.trees[-2:] = [self._carried(*self.trees[-2:])]
 
     def _carried(self, first: Tree[M], second: Tree[M]) -> Tree[M]:
-        return Tree(
-            max(first.level, second.level) + 1, self._joined([*first.maps, *second.maps], len(first.maps))
-        )
+        tree, refused = carried(self.joiner, first, second)
+        self.refusals += refused
+        return tree
 
-    def _joined(self, maps: list[M], seam: int) -> tuple[M, ...]:
-        """Join neighbours, the two at the seam first, then those that were refused before, until none fits."""
-        order = [seam - 1, *(place for place in range(len(maps) - 1) if place != seam - 1)]
-        while order:
-            for place in order:
-                joined = self.joiner(maps[place], maps[place + 1])
-                if joined is not None:
-                    maps[place : place + 2] = [joined]
-                    order = list(range(len(maps) - 1))
-                    break
-                self.refusals += 1
-            else:
+
+def carried(joiner: Joiner[M], first: Tree[M], second: Tree[M]) -> tuple[Tree[M], int]:
+    """Two neighbouring trees as one, and how many joins were refused on the way.
+
+    Neighbours are joined, the two at the seam first, then those that were refused before, until none fits.
+    """
+    maps, refused = [*first.maps, *second.maps], 0
+    seam = len(first.maps) - 1
+    order = [seam, *(place for place in range(len(maps) - 1) if place != seam)]
+    while order:
+        for place in order:
+            joined = joiner(maps[place], maps[place + 1])
+            if joined is not None:
+                maps[place : place + 2] = [joined]
+                order = list(range(len(maps) - 1))
                 break
-        return tuple(maps)
+            refused += 1
+        else:
+            break
+    return Tree(max(first.level, second.level) + 1, tuple(maps)), refused
 
 
 def chain(maps: Iterable[Joinable]) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from kalmap.slam.submaps.acceleration import Accelerated
 from kalmap.slam.submaps.local_map import LocalMap, Part
 
 _ITERATIONS = 100
-_SETTLED = 1e-10  # of the state's own scale: what is left then is rounding
+_SETTLED = 1e-9  # of the state's own scale: what is left then is rounding
 
 
 class NotSettledError(EstimationError):

@@ -127,7 +127,7 @@ class ByPlace(msgspec.Struct, frozen=True):
         least, done, tries = math.inf, 0, 1.0
         while done < tries:
             some = rng.choice(others, drawn, replace=False)
-            found = self._extended(overlap, self._searched(overlap, candidates, some), candidates)
+            found = self.extended(overlap, self._searched(overlap, candidates, some), candidates)
             distance = overlap.distance(found) if found else math.inf
             if (-len(found), distance) < (-len(best), least):
                 best, least = found, distance
@@ -160,8 +160,8 @@ class ByPlace(msgspec.Struct, frozen=True):
         deeper(0, [], 0.0)
         return best[2]
 
-    def _extended(self, overlap: Overlap, pairs: Pairs, candidates: np.ndarray) -> Pairs:
-        """Add the nearest pair given those before it, while the whole stays jointly compatible."""
+    def extended(self, overlap: Overlap, pairs: Pairs, candidates: np.ndarray) -> Pairs:
+        """Add what is nearest given the pairs before it, as many again at a time, while the whole stays compatible."""
         if not pairs:
             return []
         gate = chi_square(self.gate, 2)
@@ -175,9 +175,11 @@ class ByPlace(msgspec.Struct, frozen=True):
             left, near = left[near <= gate], near[near <= gate]
             if not len(left):
                 return pairs
-            place = int(np.argmin(near))
-            more = [*pairs, (int(left[place, 0]), int(left[place, 1]))]
-            if overlap.distance(more) > chi_square(self.joint_gate, 2 * len(more)):
+            nearest = _one_to_one(left[np.argsort(near, kind="stable")])
+            for more in (pairs + nearest[: len(pairs)], pairs + nearest[:1]):
+                if overlap.distance(more) <= chi_square(self.joint_gate, 2 * len(more)):
+                    break
+            else:
                 return pairs
             pairs = more
 
@@ -196,6 +198,17 @@ class ByPlace(msgspec.Struct, frozen=True):
         unlucky = poisson_tail(len(pairs) - 2, each * max(len(overlap.others) - 2, 1))
         ways = max(1.0, (len(candidates) / len(np.unique(candidates[:, 1]))) ** 2)
         return min(1.0, ways * unlucky)
+
+
+def _one_to_one(ordered: np.ndarray) -> Pairs:
+    """Of pairs (C, 2) in order of preference those whose both ends are still free."""
+    rows, others, kept = set[int](), set[int](), []
+    for row, other in ordered.tolist():
+        if row not in rows and other not in others:
+            kept.append((row, other))
+            rows.add(row)
+            others.add(other)
+    return kept
 
 
 def poisson_tail(least: int, mean: float) -> float:
