@@ -274,9 +274,9 @@ class DivideConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """
 
     on: bool = False
-    close_landmarks: Annotated[int, msgspec.Meta(ge=3, le=5_000)] = 40
-    close_distance: Positive = 100.0
-    dense_limit: Annotated[int, msgspec.Meta(ge=0, le=20_000)] = 500
+    close_landmarks: Annotated[int, msgspec.Meta(ge=3, le=5_000)] = 30
+    close_distance: Positive = 50.0
+    dense_limit: Annotated[int, msgspec.Meta(ge=0, le=20_000)] = 1500
     gate: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
     background: bool = False
 

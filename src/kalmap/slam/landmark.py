@@ -199,8 +199,14 @@ class LandmarkSlam(MapState):
         )
 
     def successor(self) -> LandmarkSlam:
-        """A fresh filter at the origin, with no map, that goes on in time and in numbers where this one is."""
-        slam = self.twin()
+        """A fresh filter at the origin, with no map, that goes on in time and in numbers where this one is.
+
+        What is known of the vehicle's constant errors it knows too.
+        """
+        slam, robot = self.twin(), self._belief.robot
+        known = np.zeros((robot, robot))
+        known[3:, 3:] = self._belief.robot_covariance()[3:, 3:]
+        slam._belief = Belief(np.concatenate([np.zeros(3), self._belief.mean[3:robot]]), known)
         slam.detector, slam.explain, slam.association_seconds = (
             self.detector,
             self.explain,

@@ -29,6 +29,7 @@ from kalmap.slam.submaps.finished import Finished, finished
 from kalmap.slam.submaps.forest import Forest, chain, composed
 from kalmap.slam.submaps.joiner import ById, LandmarkJoiner
 from kalmap.slam.submaps.local_map import LocalMap, local_map
+from kalmap.slam.submaps.newest import newest
 from kalmap.slam.submaps.pairing import ByPlace
 from kalmap.slam.window import Revisions
 
@@ -55,7 +56,9 @@ class DivideAndConquer:
     local map is closed, how maps are joined. A step costs what a step in a local map costs, however large the whole
     has become; a frame that closes a map pays for joins that carry, unless they run in the background.
 
-    Constant errors that the motion model estimates are estimated anew in each local map, from the same prior.
+    What a local map has learnt of the vehicle's constant errors (the motion model's biases) the next one begins with.
+    That is the one thing maps share, and joins leave it out of account: once a map or two have been closed, what is
+    still unsure of a constant error is little beside what the drive adds.
     """
 
     def __init__(self, slam: LandmarkSlam, settings: DivideConfig | None = None) -> None:
@@ -133,7 +136,9 @@ class DivideAndConquer:
         """T_map_start of the open local map and its covariance, in the newest joined frame."""
         maps = self._forest.maps
         if self._base is None or self._base[0] != maps:
-            pose, covariance = composed(self.start, self.start_covariance, *chain(maps))
+            known = self.live.association.uses_ids
+            tied = newest(maps, self.settings.gate or 1.0) if known else chain(maps)
+            pose, covariance = composed(self.start, self.start_covariance, *tied)
             self._base = maps, pose, covariance
         return self._base[1], self._base[2]
 
