@@ -6,7 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from command import kalmap
 from damage import cuts, refused_cuts
+from kalmap.data.native_map import read_map_file
 from kalmap.gaussian import Jacobian
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
@@ -220,3 +222,37 @@ def test_settings_that_contradict_each_other_are_refused(course):
         config = msgspec.structs.replace(RunConfig(), divide=DivideConfig(on=True), **changes)
         with pytest.raises(ConfigError, match="divide"):
             slam_from_config(config, course)
+
+
+def test_a_map_too_large_for_its_joint_covariance_is_written_without_it(course, tmp_path, monkeypatch):
+    from datetime import UTC, datetime
+
+    from kalmap.slam.submaps import finished
+    from kalmap.study.present import save_run
+
+    monkeypatch.setattr(finished, "JOINT_LIMIT", 20)
+    _, outcome, config = _run(course)
+    save_run(tmp_path / "out", outcome, course, config, started=datetime.now(UTC), figures=False)
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert "landmarks.csv" in written and "map.kalmap" not in written
+
+
+def test_the_command_divides(tmp_path):
+    answer = kalmap("run", "course-35", "--divide", "--no-figures", "--out", tmp_path / "out")
+    assert answer.code == 0 and "divided" in answer.out
+    assert len(read_map_file(tmp_path / "out" / "map.kalmap").landmark_ids) == 35
+    refused = kalmap("run", "course-35", "--divide", "--method", "rb-phd", "--out", tmp_path / "no")
+    assert refused.code == 2 and "--divide" in refused.error
+
+
+@pytest.mark.slow
+def test_the_live_step_does_not_grow_and_does_not_wait():
+    """Steps of the first and of the last fifth of a lawn, joins in the background: the same time, medians and most."""
+    log = simulate(world_by_name("lawn-1000"), 1)
+    config = msgspec.structs.replace(log.defaults, divide=DivideConfig(on=True, background=True))
+    outcome = run(slam_from_config(config, log), log, reckon=False)
+    assert outcome.error is None
+    seconds = outcome.trace.step_seconds
+    first, last = seconds[: len(seconds) // 5], seconds[-len(seconds) // 5 :]
+    assert np.mean(last) < 2.0 * np.mean(first)
+    assert np.percentile(last, 99) < 0.2

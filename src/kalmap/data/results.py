@@ -6,6 +6,7 @@ probabilities that do not exist are null (JSON) or empty (CSV).
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +21,7 @@ from kalmap.data.native_map import map_bytes
 from kalmap.records import (
     Estimate,
     EstimationError,
+    JointTooLargeError,
     KalmapError,
     Landmarks,
     LogError,
@@ -54,7 +56,8 @@ def write_result(
     The folder is made if it is missing. Raises `KalmapError` if it holds files but no kalmap manifest,
     `EstimationError` if the trajectory or the map is not finite; then nothing has been written.
 
-    While the files are being written the manifest says that the result is not complete.
+    While the files are being written the manifest says that the result is not complete. A map whose joint covariance
+    is too large to be written goes without a native map; its landmarks have their own covariances.
     """
     folder = Path(folder)
     _check_finite(estimate, trace)
@@ -72,10 +75,13 @@ def write_result(
         LANDMARKS_CSV: _landmarks_csv(estimate.landmarks).encode(),
         LANDMARKS_GEOJSON: _landmarks_geojson(estimate).encode(),
         METRICS: json_text(metrics).encode(),
-        MAP: map_bytes(estimate, provenance),
     }
+    with contextlib.suppress(JointTooLargeError):
+        contents[MAP] = map_bytes(estimate, provenance)
     check_result_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    if MAP not in contents:
+        (folder / MAP).unlink(missing_ok=True)  # of an earlier result
     unfinished = msgspec.structs.replace(manifest, completed=False, error="writing the result was cut off")
     write_manifest(folder, unfinished)
     for name, content in contents.items():

@@ -14,7 +14,14 @@ from kalmap.records.config import (
 )
 from kalmap.records.contours import Contours, Sweeps, Trajectory
 from kalmap.records.decisions import REASONS, Frame, Managed, Reason, Why
-from kalmap.records.errors import ConfigError, EstimationError, EventError, KalmapError, LogError
+from kalmap.records.errors import (
+    ConfigError,
+    EstimationError,
+    EventError,
+    JointTooLargeError,
+    KalmapError,
+    LogError,
+)
 from kalmap.records.estimate import NEW, SPURIOUS, Association, Estimate, Landmarks, Manifest, Trace
 from kalmap.records.events import Event, Fix, Odometry, Scan, Sightings
 from kalmap.records.log import Log, Reference, Relations, SightingTruth, Skipped
@@ -38,6 +45,7 @@ __all__ = [
     "FiniteSetConfig",
     "Fix",
     "Frame",
+    "JointTooLargeError",
     "KalmapError",
     "Landmarks",
     "Log",

@@ -9,13 +9,13 @@ import numpy as np
 
 from kalmap.gaussian.roots import NotPositiveError
 from kalmap.geometry.se2 import compose, quarter_turn, rotate
-from kalmap.records import EstimationError
+from kalmap.records import JointTooLargeError
 from kalmap.slam.submaps.forest import Forest
 from kalmap.slam.submaps.joiner import chained, relinearised
 from kalmap.slam.submaps.local_map import LocalMap
 from kalmap.slam.submaps.recovery import Recovery
 
-JOINT_LIMIT = 20_000  # numbers in a joint covariance: 3.2 GB
+JOINT_LIMIT = 12_000  # numbers in a joint covariance: 1.2 GB, and as much again while it is written
 
 
 class Finished(msgspec.Struct, frozen=True, eq=False):
@@ -76,7 +76,7 @@ def _placed(whole: LocalMap, apart: int, start: np.ndarray, start_covariance: np
     def joint_in_map() -> tuple[np.ndarray, np.ndarray]:
         size = 3 + 2 * len(kept)
         if size > JOINT_LIMIT:
-            raise EstimationError(f"a joint covariance of {size} numbers is too large to be written out")
+            raise JointTooLargeError(f"a joint covariance of {size} numbers is too large to be written out")
         covariance = joint(kept)
         matrix = np.zeros((size, size))
         matrix[:3, :3] = turn
