@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from kalmap.geometry.se2 import compose
+from kalmap.slam.submaps.background import BackgroundForest
 from kalmap.slam.submaps.forest import Forest, chain
 
 
@@ -100,3 +101,37 @@ def test_the_chain_of_ends_against_sampling():
     np.testing.assert_allclose(pose, compose(legs[0].end, legs[1].end))
     draws = [rng.multivariate_normal(leg.end, leg.end_covariance, 200_000) for leg in legs]
     np.testing.assert_allclose(covariance, np.cov(compose(*draws).T), atol=4e-4)
+
+
+def test_a_worker_grows_the_same_trees_and_nobody_waits_for_it():
+    import threading
+
+    gate = threading.Event()
+
+    class Slow(Joining):
+        def __call__(self, first, second):
+            gate.wait()
+            return super().__call__(first, second)
+
+    forest = BackgroundForest(Slow({5}))
+    for number in range(13):
+        forest.close(Piece(number, number + 1))  # returns although every join hangs
+    assert chain(forest.maps)[0][0] == 13.0  # the chain of ends is there all the time
+    gate.set()
+    settled = forest.settled()
+    assert settled.maps == _grown(13, Joining({5})).maps == forest.maps
+    assert settled.refusals == _grown(13, Joining({5})).refusals
+
+
+def test_an_error_in_the_background_comes_up_at_the_next_call():
+    class Failing(Joining):
+        def __call__(self, first, second):
+            raise ArithmeticError("no")
+
+    forest = BackgroundForest(Failing())
+    forest.close(Piece(0, 1))
+    forest.close(Piece(1, 2))
+    with pytest.raises(ArithmeticError, match="no"):
+        forest.settled()
+    with pytest.raises(ArithmeticError, match="no"):
+        forest.close(Piece(2, 3))
