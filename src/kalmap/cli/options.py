@@ -15,7 +15,7 @@ FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
 SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm")
 METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS)
 # settings of the one family that the other has no use for
-_FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management")
+_FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management", "divide")
 _SETS_ONLY = ("particles", "proposal", "weighting")
 
 _TOPICS = (
@@ -56,6 +56,11 @@ _SHARED = (
         "--weighting",
         type=click.Choice(["empty", "single-feature", "single-cluster", "multi-feature"]),
         help="rb-phd, srckf-phd: what of the map weighs a particle.",
+    ),
+    click.option(
+        "--divide",
+        is_flag=True,
+        help="Divide and conquer: local maps, joined in a forest; a Kalman filter's step does not grow with the map.",
     ),
     click.option("--config", "config_file", type=click.Path(path_type=Path), help="TOML or JSON settings."),
     click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One setting; may be repeated."),
@@ -121,6 +126,8 @@ def gather(given: dict[str, Any], several: bool = False) -> tuple[Settings, dict
             flags.setdefault(table, {})[field] = given[key]
     if given["seed"] is not None:
         flags["seed"] = given["seed"]
+    if given["divide"]:
+        flags["divide"] = {"on": True}
     if given["tolerant"]:
         flags["tolerant"] = True
     settings = merge(settings, flags)
@@ -148,10 +155,11 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     if sets is None:
         refuse_for_sets_only(given, filter_name or "a Kalman filter")
         return filter_name
-    for key in _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting"):
-        if given.get(key) is not None:
+    for key in _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting", "divide"):
+        if given.get(key) not in (None, False):
             option = "filter" if key == "filter_name" else key
-            raise click.UsageError(f"--{option} {given[key]} means nothing to {sets}")
+            value = "" if given[key] is True else f" {given[key]}"
+            raise click.UsageError(f"--{option}{value} means nothing to {sets}")
     return filter_name
 
 

@@ -107,6 +107,8 @@ def run_once(
     if not given["quiet"]:
         summary_line(f"{log.name}, {method_label(config)}", metrics)
         click.echo(f"written to {folder}{' (see report.html)' if figures else ''}")
+        if not (folder / "map.kalmap").exists():
+            click.echo("without map.kalmap: the joint covariance of so large a map cannot be written out")
     return exit_code(outcome.error, outcome.interrupted), metrics
 
 

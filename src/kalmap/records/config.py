@@ -270,6 +270,25 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_range_offset: NonNegative = 0.03
 
 
+class DivideConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Divide and conquer (Paz, Tardos & Neira 2008): local maps of landmarks, closed when full, joined in a forest.
+
+    on: else one filter holds the whole map. close_landmarks, close_distance: a local map is closed when it holds so
+    many landmarks, or after so many metres. dense_limit: numbers in a joined state from which on joins keep sparse
+    information instead of the full covariance. gate: probability that the joint distance of a right join stays
+    inside; beyond it the join is refused and both maps stay side by side. None: what suits the association (known
+    identities are taken at their word). background: joins run in a thread of low priority and the filter does not
+    wait for them; the answer is the same.
+    """
+
+    on: bool = False
+    close_landmarks: Annotated[int, msgspec.Meta(ge=3, le=5_000)] = 30
+    close_distance: Positive = 50.0
+    dense_limit: Annotated[int, msgspec.Meta(ge=0, le=20_000)] = 1500
+    gate: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
+    background: bool = False
+
+
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a run depends on, beside the log itself."""
 
@@ -280,6 +299,7 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     perception: PerceptionConfig = PerceptionConfig()
     finite_set: FiniteSetConfig = FiniteSetConfig()
     contour: ContourConfig = ContourConfig()
+    divide: DivideConfig = DivideConfig()
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
     tolerant: bool = False
 
