@@ -13,10 +13,12 @@ from kalmap.cli.settings import Settings, merge, parse_pairs, read_config
 FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
 
 SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm")
-METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS)
+CONTOUR_METHODS = ("slasem", "dc-slasem")
+METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS, *CONTOUR_METHODS)
 # settings of the one family that the other has no use for
 _FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management", "divide")
 _SETS_ONLY = ("particles", "proposal", "weighting")
+_LANDMARKS_ONLY = ("use", "association", "management", "detector", "divide")
 
 _TOPICS = (
     click.option("--scan-topic", help="Of a ROS bag with several lasers."),
@@ -148,6 +150,9 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     filter_name = method if method in FILTER_NAMES else filter_name
     table = settings.get("finite_set")
     sets = table.get("method") if isinstance(table, dict) else None
+    if method in CONTOUR_METHODS:
+        flags.setdefault("contour", {})["method"] = method
+        _refuse(given, _LANDMARKS_ONLY, method)
     if method in SET_METHODS:  # pmbm begins with a filter
         sets = flags.setdefault("finite_set", {})["method"] = method
     elif filter_name is not None:
@@ -155,12 +160,19 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     if sets is None:
         refuse_for_sets_only(given, filter_name or "a Kalman filter")
         return filter_name
-    for key in _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting", "divide"):
+    _refuse(
+        given, _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting", "divide"), sets
+    )
+    return filter_name
+
+
+def _refuse(given: dict[str, Any], keys: tuple[str, ...], method: str) -> None:
+    """Raise UsageError if an option is given that the method has no use for."""
+    for key in keys:
         if given.get(key) not in (None, False):
             option = "filter" if key == "filter_name" else key
             value = "" if given[key] is True else f" {given[key]}"
-            raise click.UsageError(f"--{option}{value} means nothing to {sets}")
-    return filter_name
+            raise click.UsageError(f"--{option}{value} means nothing to {method}")
 
 
 def refuse_for_sets_only(given: dict[str, Any], method: str) -> None:

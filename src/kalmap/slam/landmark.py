@@ -54,6 +54,8 @@ class LandmarkSlam(MapState):
     positive definite raises EstimationError with the step's number.
     """
 
+    numbers_per_sighting = 2  # range and bearing
+
     def __init__(
         self,
         motion: MotionModel | None = None,

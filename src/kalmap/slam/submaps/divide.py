@@ -61,6 +61,8 @@ class DivideAndConquer:
     still unsure of a constant error is little beside what the drive adds.
     """
 
+    numbers_per_sighting = 2  # range and bearing
+
     def __init__(self, slam: LandmarkSlam, settings: DivideConfig | None = None) -> None:
         if isinstance(slam.association, Mda):
             raise ConfigError("divide: mda looks back over frames of a map that may be closed")
