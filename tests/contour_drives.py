@@ -9,10 +9,11 @@ import msgspec
 import numpy as np
 
 from kalmap.gaussian import Jacobian
+from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse
+from kalmap.kernels import contour as kernel
 from kalmap.models.motion import motion_from_config
 from kalmap.records import Log, Odometry, Scan
-from kalmap.simulate.floor_run import simulate_floor
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
 
@@ -51,7 +52,7 @@ def used_scans(
 def closed_of(live: LiveMap) -> ClosedMap:
     """A live map as it would be closed: without the scanner's calibration."""
     live.belief.flush()
-    keep = np.r_[0:3, 5 : live.belief.n]
+    keep = np.r_[0:3, kernel.SAMPLES : live.belief.n]
     covariance = live.belief.covariance()[np.ix_(keep, keep)]
     return ClosedMap(
         live.belief.mean[keep],
@@ -62,63 +63,56 @@ def closed_of(live: LiveMap) -> ClosedMap:
     )
 
 
-class Driven(msgspec.Struct):
-    """What a drive left behind.
+class Drive:
+    """A log driven through local maps.
 
-    live: the last map. maps: the closed ones; starts: (n, 3) their true frames. errors: (T, 3) of the pose in its own
-    map's frame, covariances (T, 3, 3).
+    live: the last map; maps: the closed ones. starts: their true frames (3,). errors, covariances: of the pose in its
+    own map's frame, after every scan. jump: after how many scans the odometry says a step (3,) that never was.
     """
 
-    live: LiveMap
-    maps: list[ClosedMap]
-    starts: list[np.ndarray]
-    errors: np.ndarray
-    covariances: np.ndarray
-    calibrations: list[np.ndarray]
+    def __init__(
+        self, log: Log, rules: Rules, *, change=None, most=10**9, close=True, on_closed=None, jump=None
+    ):
+        self.rules, self.close, self.on_closed = rules, close, on_closed
+        self.live, self.starts = LiveMap(rules), [np.zeros(3)]
+        self.maps: list[ClosedMap] = []
+        errors, covariances = [], []
+        last, before = None, None
+        for number, (moves, scan, truth) in enumerate(used_scans(log, rules, change)):
+            if number == most:
+                break
+            if number:
+                self._close_if_full(last, before)
+            for event in moves:
+                self.live.predict(event)
+            if jump is not None and jump[0] == number:
+                self.live.predict(Odometry(scan.time, jump[1][None], np.array([0.2])))
+            self.live.observe(prepare(scan, rules, self.live.calibration.mean))
+            last, before = scan, truth
+            error = self.live.pose - compose(inverse(self.starts[-1]), truth)
+            errors.append([error[0], error[1], wrap(error[2])])
+            covariances.append(self.live.belief.robot_covariance()[:3, :3])
+        self.errors, self.covariances = np.array(errors), np.array(covariances)
 
+    def _close_if_full(self, last: Scan, truth: np.ndarray) -> None:
+        """Close the map, and begin the next one with the scan that was the last."""
+        live, settings = self.live, self.rules.contour
+        if not self.close or (live.count < settings.close_samples and live.length < settings.close_distance):
+            return
+        closed = closed_of(live)
+        self.maps.append(closed)
+        self.starts.append(truth)
+        self.live = LiveMap(self.rules, live.calibration)
+        self.live.observe(prepare(last, self.rules, live.calibration.mean))
+        if self.on_closed is not None:
+            self.on_closed(closed)
 
-def drive(
-    log: Log,
-    rules: Rules,
-    *,
-    change: Callable[[Scan], Scan] | None = None,
-    most: int = 10**9,
-    close: bool = True,
-    on_closed: Callable[[ClosedMap], None] | None = None,
-    jump: tuple[int, np.ndarray] | None = None,
-    carry: bool = True,
-) -> Driven:
-    """Drive a log through local maps. most: scans used. jump: after so many scans an odometry step that never was."""
-    live, start = LiveMap(rules), np.zeros(3)
-    driven = Driven(live, [], [start], np.zeros((0, 3)), np.zeros((0, 3, 3)), [])
-    errors, covariances, scans = [], [], 0
-    for events, scan, truth in used_scans(log, rules, change):
-        if scans == most:
-            break
-        if close and (
-            live.count >= rules.contour.close_samples or live.length >= rules.contour.close_distance
-        ):
-            closed = closed_of(live)
-            driven.maps.append(closed)
-            start = before
-            driven.starts.append(start)
-            live = LiveMap(rules, live.calibration if carry else None)
-            live.observe(prepare(last, rules, live.calibration.mean))
-            if on_closed is not None:
-                on_closed(closed)
-        for event in events:
-            live.predict(event)
-        if jump is not None and jump[0] == scans:
-            live.predict(Odometry(scan.time, jump[1][None], np.array([0.2])))
-        live.observe(prepare(scan, rules, live.calibration.mean))
-        before, last = truth, scan
-        error = live.pose - compose(inverse(start), truth)
-        error[2] = (error[2] + math.pi) % (2 * math.pi) - math.pi
-        errors.append(error)
-        covariances.append(live.belief.robot_covariance()[:3, :3])
-        scans += 1
-    driven.live, driven.errors, driven.covariances = live, np.array(errors), np.array(covariances)
-    return driven
+    def nees(self) -> np.ndarray:
+        """(T,) of the poses, from the scan on at which their covariance has full rank."""
+        full = np.linalg.eigvalsh(self.covariances)[:, 0] > 1e-12
+        return np.einsum(
+            "ti,tij,tj->t", self.errors[full], np.linalg.inv(self.covariances[full]), self.errors[full]
+        )
 
 
 def drifted(scan: Scan, scale: float, offset: float) -> Scan:
@@ -126,8 +120,3 @@ def drifted(scan: Scan, scale: float, offset: float) -> Scan:
     return msgspec.structs.replace(
         scan, bearings=scan.bearings * (1.0 + scale), ranges=np.asarray(scan.ranges) + offset
     )
-
-
-def simulated(world, seed: int) -> Log:
-    """A floor driven once."""
-    return simulate_floor(world, seed)
