@@ -29,6 +29,9 @@ OPEN_SCANS = 3  # scans in a row that look through a sample before it is retired
 TRUSTED_SHARE = 0.6  # of the samples in view that a scan finds, below which it is tried elsewhere
 LEAST_IN_VIEW = 10  # samples
 BETTER = 1.5  # how many times better another place must be
+SURE_SHARE, SURE_FOUND = 0.7, 25  # of the samples in view, and how many, that it must find: people stand about, too
+SLIP = np.array([0.3, 0.3, 0.3])  # m, m, rad, of wheels; beyond it the odometry must have jumped
+SLIPPED, JUMPED = 1.3, 2.0  # how many times larger the share must be there
 TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
 ASTRAY = np.diag([0.5**2, 0.5**2, 0.1**2])
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
@@ -196,12 +199,16 @@ class LiveMap:
         share = _share(found)
         if share >= TRUSTED_SHARE or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
             return fitted, found
-        best = BETTER * (found >= 0).sum() * share
+        best, before, first = BETTER * (found >= 0).sum() * share, share, fitted
         for turn in TURNS:
             start = np.array([pose[0], pose[1], pose[2] + turn])
             other, there = self.place(seen, start, ASTRAY)
-            value = (there >= 0).sum() * _share(there)
-            if value > best:
+            value, share = (there >= 0).sum() * _share(there), _share(there)
+            if value <= best or share < SURE_SHARE or (there >= 0).sum() < SURE_FOUND:
+                continue
+            move = other - first
+            move[2] = wrap(move[2])
+            if share >= (SLIPPED if (np.abs(move) < SLIP).all() else JUMPED) * before:
                 best, fitted, found = value, other, there
         return fitted, found
 
