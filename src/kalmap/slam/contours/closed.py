@@ -16,7 +16,9 @@ REACH = 0.4  # m, how far from a contour its neighbourhood is known
 BLUR = 0.1  # m, standard deviation of the fit in the search
 DIRECTIONS, LEVELS = 8, 5
 DENSE = 0.1  # m between points along a contour
-LEAST_APART = 0.02  # m along a contour between neighbours: of one drawn twice, no step goes from one to the other
+LEAST_APART = (
+    0.02  # m along a contour between neighbours: of one drawn twice, no step goes from one to the other
+)
 
 
 class ClosedMap(msgspec.Struct, frozen=True, eq=False, dict=True):

@@ -29,7 +29,10 @@ OPEN_SCANS = 3  # scans in a row that look through a sample before it is retired
 TRUSTED_SHARE = 0.6  # of the samples in view that a scan finds, below which it is tried elsewhere
 LEAST_IN_VIEW = 10  # samples
 BETTER = 1.5  # how many times better another place must be
-SURE_SHARE, SURE_FOUND = 0.7, 25  # of the samples in view, and how many, that it must find: people stand about, too
+SURE_SHARE, SURE_FOUND = (
+    0.7,
+    25,
+)  # of the samples in view, and how many, that it must find: people stand about, too
 SLIP = np.array([0.3, 0.3, 0.3])  # m, m, rad, of wheels; beyond it the odometry must have jumped
 SLIPPED, JUMPED = 1.3, 2.0  # how many times larger the share must be there
 TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
