@@ -68,17 +68,28 @@ class Drive:
 
     live: the last map; maps: the closed ones. starts: their true frames (3,). errors, covariances: of the pose in its
     own map's frame, after every scan. jump: after how many scans the odometry says a step (3,) that never was.
+    frame: (3,) on the robot, of what is estimated.
     """
 
     def __init__(
-        self, log: Log, rules: Rules, *, change=None, most=10**9, close=True, on_closed=None, jump=None
+        self,
+        log: Log,
+        rules: Rules,
+        *,
+        change=None,
+        most=10**9,
+        close=True,
+        on_closed=None,
+        jump=None,
+        frame=(0.0, 0.0, 0.0),
     ):
         self.rules, self.close, self.on_closed = rules, close, on_closed
-        self.live, self.starts = LiveMap(rules), [np.zeros(3)]
+        self.live, self.starts = LiveMap(rules), [np.array(frame, dtype=float)]
         self.maps: list[ClosedMap] = []
         errors, covariances = [], []
         last, before = None, None
         for number, (moves, scan, truth) in enumerate(used_scans(log, rules, change)):
+            truth = compose(truth, np.asarray(frame))
             if number == most:
                 break
             if number:

@@ -28,6 +28,7 @@ from kalmap.perception.contours import cut_scan
 from kalmap.records import SensorConfig
 
 CAL, FIRST = kernel.CALIBRATION, kernel.SAMPLES
+COLUMNS = 7  # of a distance: pose, bearing scale and range offset, sample
 MOUNT = np.array([0.2, -0.1, 0.3])
 REACH = 12.0
 RULES = [Jacobian(), Unscented(), Unscented(alpha=0.5, beta=2.0), CentralDifference(), Cubature()]
@@ -239,7 +240,7 @@ def regressed(rng, lineariser, invariant, n_samples=6):
     mean, covariance = state(rng, n_samples)
     coef, origin, scale = curves(rng)
     indices, piece = FIRST + 2 * np.arange(n_samples), np.arange(n_samples) % 3
-    matrices, distances = np.empty((n_samples, FIRST + 2)), np.empty(n_samples)
+    matrices, distances = np.empty((n_samples, COLUMNS)), np.empty(n_samples)
     residuals = np.empty(n_samples)
     status = kernel.regress_distances(
         setup_of(lineariser, invariant), mean, packed_of(covariance), MOUNT, indices, piece, coef, origin, scale,
@@ -297,10 +298,10 @@ def test_calibration_effect(mount):
     rng = np.random.default_rng(5)
     points, angle = rng.normal(0, 3, (40, 2)), rng.uniform(-np.pi, np.pi, 40)
     normals = np.column_stack([np.cos(angle), np.sin(angle)])
-    effect = np.empty((40, FIRST - 3))
+    effect = np.empty((40, 2))
     kernel.calibration_effect(points, normals, mount, effect)
     expected = [effect_by_differences(p, n, mount) for p, n in zip(points, normals, strict=True)]
-    assert np.allclose(effect[:, :2], expected, rtol=0, atol=1e-8)
+    assert np.allclose(effect, expected, rtol=0, atol=1e-8)
 
 
 def test_regression_by_the_calibration():
@@ -310,7 +311,7 @@ def test_regression_by_the_calibration():
         at = rotate(-mean[2], mean[index : index + 2] - mean[:2])
         _, gx, gy = signed_distance(*curve[m], *at)
         expected = effect_by_differences(at, np.array([gx, gy]), MOUNT)
-        assert np.allclose(matrices[m, CAL : CAL + 2], -np.array(expected), rtol=0, atol=1e-7)
+        assert np.allclose(matrices[m, 3:5], -np.array(expected), rtol=0, atol=1e-7)
 
 
 def dense_update(mean, covariance, matrix, innovation, noise, invariant):
@@ -340,13 +341,13 @@ def test_apply_distances(invariant, n_samples, count):
     mean, covariance = state(rng, n_samples)
     n = len(mean)
     rows = np.sort(rng.permutation(n_samples)[:count])
-    indices, matrices = FIRST + 2 * rows, rng.normal(0, 1, (count, FIRST + 2))
+    indices, matrices = FIRST + 2 * rows, rng.normal(0, 1, (count, COLUMNS))
     root = rng.normal(0, 0.02, (count, count))
     noise, innovation = root @ root.T + 1e-4 * np.eye(count), rng.normal(0, 0.03, count)
     dense = np.zeros((count, n))
-    dense[:, :FIRST] = matrices[:, :FIRST]
+    dense[:, :5] = matrices[:, :5]
     for m, index in enumerate(indices):
-        dense[m, index : index + 2] = matrices[m, FIRST:]
+        dense[m, index : index + 2] = matrices[m, 5:]
     expected = dense_update(mean, covariance, dense, innovation, noise, invariant)
     belief = Belief(mean, covariance)
     left, right = belief.work(2 * count)
@@ -376,7 +377,7 @@ def test_after_an_error_the_state_is_as_it_was(broken, count):
     left, right = belief.work(2 * count)
     status, _ = kernel.apply_distances(
         setup_of(), belief.mean, belief.packed, len(mean), FIRST + 2 * np.arange(count),
-        rng.normal(0, 1, (count, FIRST + 2)), innovation, noise, left, right,
+        rng.normal(0, 1, (count, COLUMNS)), innovation, noise, left, right,
     )  # fmt: skip
     assert status != OK and (broken != "noise" or status == INNOVATION_NOT_POSITIVE)
     assert np.array_equal(belief.mean, mean) and np.array_equal(belief.packed, packed)
@@ -390,7 +391,7 @@ def test_append_samples(n_samples, count):
     n = len(mean)
     points, angle = rng.normal(0, 3, (count, 2)), rng.uniform(-np.pi, np.pi, count)
     normal = np.column_stack([np.cos(angle), np.sin(angle)])
-    effect = rng.normal(0, 1, (count, FIRST - 3))
+    effect = rng.normal(0, 1, (count, 2))
     root = rng.normal(0, 0.02, (count, count))
     noise = root @ root.T
     belief = Belief(mean, covariance)
@@ -402,7 +403,7 @@ def test_append_samples(n_samples, count):
     for m in range(count):
         rows[2 * m : 2 * m + 2, :2] = np.eye(2)
         rows[2 * m : 2 * m + 2, 2] = -arms[m, 1], arms[m, 0]
-        rows[2 * m : 2 * m + 2, CAL:FIRST] = np.outer(map_normal[m], effect[m])
+        rows[2 * m : 2 * m + 2, CAL : CAL + 2] = np.outer(map_normal[m], effect[m])
     across = np.zeros((2 * count, count))
     for m in range(count):
         across[2 * m : 2 * m + 2, m] = map_normal[m]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from contour_drives import SICK, Drive, drifted, rules_for
-from kalmap.gaussian import CentralDifference, Jacobian
-from kalmap.geometry.se2 import compose
+from kalmap.gaussian import Belief, CentralDifference, Jacobian
+from kalmap.geometry.se2 import compose, inverse
+from kalmap.kernels import contour as kernel
 from kalmap.records import Odometry, Scan
 from kalmap.simulate.catalogue import world_by_name
 from kalmap.simulate.floor_run import simulate_floor
@@ -95,6 +96,62 @@ def test_calibration(scale, offset):
     assert np.abs(np.array(found) - expected).max(axis=0)[1] < 6e-3
 
 
+@pytest.mark.parametrize("place", [(0.3, 0.0), (0.1, -0.15)])
+def test_the_lever_of_a_scanner_whose_place_is_not_told(place):
+    """A scanner that is said to be at the odometry's point and is not. Oracle: where the simulator mounted it.
+
+    The pose is that of the scanner then, and as good as if its place were known. Without the lever the bearing scale
+    stood in for it: -0.006 for 0.3 m.
+    """
+    world = rooms_world(4, **SICK, mount_x=place[0], mount_y=place[1])
+    log = simulate_floor(world, 1)
+    rules = rules_for(log, sigma_lever=0.2)
+    rules = msgspec.structs.replace(
+        rules, sensor=msgspec.structs.replace(rules.sensor, mount_x=0.0, mount_y=0.0)
+    )
+    drive = Drive(log, rules, most=400, frame=np.array([*place, 0.0]))
+    found, spread = drive.live.calibration.mean, np.sqrt(np.diag(drive.live.calibration.covariance))
+    assert np.allclose(found[2:], -np.array(place), atol=0.01) and (spread[2:] < 0.005).all()
+    assert abs(found[0]) < 1e-3
+    assert np.hypot(*drive.errors[:, :2].T).max() < 0.08 and drive.nees().mean() < 4.0
+
+
+def test_a_lever_that_is_known_changes_nothing():
+    """Oracle: the engine by itself; with a lever of exactly 0 the prediction is the motion model's own."""
+    log = simulate_floor(rooms_world(4, **SICK), 1)
+    live = LiveMap(rules_for(log, sigma_lever=0.0))
+    alone = Belief(np.zeros(3), np.zeros((3, 3)))
+    for number, event in enumerate(log):
+        if isinstance(event, Odometry):
+            live.predict(event)
+            live.rules.engine.predict(alone, event)
+        if number == 300:
+            break
+    assert np.allclose(live.pose, alone.mean[:3], rtol=0, atol=1e-12)
+    assert np.allclose(live.belief.covariance()[:3, :3], alone.covariance(), rtol=0, atol=1e-12)
+
+
+def test_prediction_with_a_lever():
+    """Oracle: numerical differences of pose and lever through the composed motion, to first order."""
+    log = simulate_floor(rooms_world(4, **SICK), 1)
+    live = LiveMap(rules_for(log))
+    observe(live, scan_from(np.zeros(3), seed=1))
+    mean = live.belief.mean[: live.belief.n]
+    mean[:3], mean[5:7] = [0.4, -0.2, 0.7], [0.12, -0.07]
+    before, at = live.belief.covariance(), mean.copy()
+    step = np.array([0.3, 0.05, 0.4])
+    live.predict(Odometry(0.0, step[None], np.array([0.2]), covariance=np.zeros((1, 3, 3))))
+
+    def moved(x):
+        lever = np.array([*x[5:7], 0.0])
+        return np.r_[compose(compose(compose(x[:3], lever), step), inverse(lever)), x[3:]]
+
+    assert np.allclose(live.belief.mean[: len(at)], moved(at), rtol=0, atol=1e-12)
+    design = np.array([(moved(at + d) - moved(at - d)) / 2e-6 for d in 1e-6 * np.eye(len(at))]).T
+    expected = design @ before @ design.T
+    assert np.allclose(live.belief.covariance(), expected, rtol=0, atol=1e-9)
+
+
 def test_a_person_who_leaves_is_retired():
     """The samples on the person go, those of the wall behind come, the room's stay."""
     live = LiveMap(rules_of_a_sick())
@@ -110,7 +167,7 @@ def test_a_person_who_leaves_is_retired():
         observe(live, scan_from(np.zeros(3), seed=10 + k))
     assert (np.hypot(*(live.samples - person[0, :2]).T) > 0.35).all()
     assert (np.hypot(*(live.samples[:, None] - others[None]).transpose(2, 0, 1)).min(axis=0) < 0.05).all()
-    assert live.belief.n == 2 * live.count + len(live.belief.mean[: live.belief.n]) - 2 * len(live.samples)
+    assert live.belief.n == kernel.SAMPLES + 2 * live.count == kernel.SAMPLES + 2 * len(live.normals)
 
 
 @pytest.mark.parametrize("beams", [0, 1, 2, 3])

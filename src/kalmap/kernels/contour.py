@@ -265,7 +265,8 @@ def regress_distances(
 
 
 CALIBRATION = 3  # where the scanner's calibration stands in the state: bearing scale, range offset
-SAMPLES = 5  # where the samples begin
+LEVER = 5  # x, y m of the point that the odometry speaks of, in the vehicle's frame
+SAMPLES = 7  # where the samples begin
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

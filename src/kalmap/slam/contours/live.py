@@ -13,7 +13,7 @@ from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
 from kalmap.kernels.implicit import distance_rows
 from kalmap.kernels.layout import BIAS_COUNT, OK
-from kalmap.kernels.packed import pack
+from kalmap.kernels.packed import pack, transform_leading
 from kalmap.models import RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
@@ -41,9 +41,10 @@ OUTLIER = 3.0  # standard deviations beyond which a distance has its noise infla
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """What is known of the scanner: mean (2,) and covariance (2, 2) of its bearing scale and its range offset m.
+    """What is known of the vehicle: mean (4,) and covariance (4, 4) of bearing scale, range offset m and lever x, y m.
 
-    A bearing b truly is (1 + scale) b, a range r truly is r + offset.
+    A bearing b truly is (1 + scale) b, a range r truly is r + offset. The lever is where the point that the odometry
+    speaks of is in the vehicle's frame, to which the scanner is fixed as its settings say.
     """
 
     mean: np.ndarray
@@ -61,8 +62,14 @@ class Rules(msgspec.Struct, frozen=True):
     @property
     def calibration(self) -> Calibration:
         """What is known of the scanner before the drive."""
-        sigmas = np.array([self.contour.sigma_bearing_scale, self.contour.sigma_range_offset])
-        return Calibration(np.zeros(2), np.diag(sigmas**2))
+        contour = self.contour
+        sigmas = [
+            contour.sigma_bearing_scale,
+            contour.sigma_range_offset,
+            contour.sigma_lever,
+            contour.sigma_lever,
+        ]
+        return Calibration(np.zeros(4), np.diag(sigmas) ** 2)
 
     @property
     def mount(self) -> np.ndarray:
@@ -96,7 +103,7 @@ class Seen(msgspec.Struct, frozen=True):
 def prepare(scan: Scan, rules: Rules, calibration: np.ndarray) -> Seen:
     """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep.
 
-    calibration: (2,) bearing scale and range offset m, which are taken out.
+    calibration: bearing scale and range offset m, which are taken out, and more.
     """
     turned, lengthened = (
         np.asarray(scan.bearings) * (1.0 + calibration[0]),
@@ -122,30 +129,20 @@ class LiveMap:
 
     def __init__(self, rules: Rules, calibration: Calibration | None = None) -> None:
         self.rules = rules
-        self.belief = Belief(np.zeros(3), np.zeros((3, 3)))
-        self._calibrate(calibration or rules.calibration)
+        self.belief = _begun(np.zeros(3), calibration or rules.calibration)
         self._setup = rules.engine.setup.copy()
-        self._setup[BIAS_COUNT] = 2  # the scanner's calibration is not turned with the map
-        self._since = Belief(np.zeros(3), np.zeros((3, 3)))
+        self._setup[BIAS_COUNT] = kernel.SAMPLES - 3  # the calibration is not turned with the map
+        self._since = _begun(np.zeros(3), self.calibration)
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
         self.length, self.scans = 0.0, 0
         self.nis, self.used = float("nan"), 0
 
-    def _calibrate(self, calibration: Calibration) -> None:
-        belief = self.belief
-        whole = np.zeros((kernel.SAMPLES, kernel.SAMPLES))
-        whole[3:, 3:] = calibration.covariance
-        belief.reserve(kernel.SAMPLES)
-        belief.mean[3:5] = calibration.mean
-        pack(whole, kernel.SAMPLES, belief.packed)
-        belief.n = kernel.SAMPLES
-
     @property
     def calibration(self) -> Calibration:
         """What is known of the scanner now."""
-        entries = np.array([kernel.CALIBRATION, kernel.CALIBRATION + 1])
+        entries = np.arange(kernel.CALIBRATION, kernel.SAMPLES)
         return Calibration(self.belief.mean[entries], self.belief.block(entries))
 
     @property
@@ -176,8 +173,10 @@ class LiveMap:
     def predict(self, event: Odometry) -> None:
         """Odometry: equations (5) and (6)."""
         before = self.belief.mean[:2].copy()
-        self.rules.engine.predict(self.belief, event)
-        self.rules.engine.predict(self._since, event)
+        for belief in (self.belief, self._since):
+            _shift(belief, 1.0)
+            self.rules.engine.predict(belief, event)
+            _shift(belief, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
 
     def observe(self, seen: Seen) -> None:
@@ -188,7 +187,7 @@ class LiveMap:
             self._correct(seen)
         if len(seen.pieces):
             self._found(seen)
-        self._since = Belief(self.belief.mean[:3], np.zeros((3, 3)))
+        self._since = _begun(self.belief.mean[:3], self.calibration)
         self._retire()
 
     def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -326,6 +325,34 @@ class LiveMap:
             self.belief.remove(kernel.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
         self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
+
+
+def _begun(pose: np.ndarray, calibration: Calibration) -> Belief:
+    """A belief of a pose (3,) that is known exactly and of the calibration."""
+    belief = Belief(pose, np.zeros((3, 3)))
+    whole = np.zeros((kernel.SAMPLES, kernel.SAMPLES))
+    whole[3:, 3:] = calibration.covariance
+    belief.reserve(kernel.SAMPLES)
+    belief.mean[3 : kernel.SAMPLES] = calibration.mean
+    pack(whole, kernel.SAMPLES, belief.packed)
+    belief.n = kernel.SAMPLES
+    return belief
+
+
+def _shift(belief: Belief, sign: float) -> None:
+    """Speak of the odometry's point instead of the vehicle's (sign 1), or the other way round (-1)."""
+    belief.flush()
+    mean, lever = belief.mean, slice(kernel.LEVER, kernel.LEVER + 2)
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    turn = sign * np.array([[c, -s], [s, c]])
+    way = turn @ mean[lever]
+    mean[:2] += way
+    matrix = np.eye(kernel.SAMPLES)
+    matrix[0, 2], matrix[1, 2] = -way[1], way[0]
+    matrix[:2, lever] = turn
+    leading = belief.block(np.arange(kernel.SAMPLES))
+    pack(np.ascontiguousarray(matrix @ leading @ matrix.T), kernel.SAMPLES, belief.packed)
+    transform_leading(belief.packed, belief.n, kernel.SAMPLES, matrix)
 
 
 def _share(found: np.ndarray) -> float:
