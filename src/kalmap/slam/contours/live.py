@@ -13,7 +13,7 @@ from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
 from kalmap.kernels.implicit import distance_rows
 from kalmap.kernels.layout import BIAS_COUNT, OK
-from kalmap.kernels.packed import pack, transform_leading
+from kalmap.kernels.packed import pack
 from kalmap.models import RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
@@ -174,9 +174,10 @@ class LiveMap:
         """Odometry: equations (5) and (6)."""
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
-            _shift(belief, 1.0)
+            kernel.shift_point(belief.mean, belief.packed, belief.n, 1.0)
             self.rules.engine.predict(belief, event)
-            _shift(belief, -1.0)
+            belief.flush()
+            kernel.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
 
     def observe(self, seen: Seen) -> None:
@@ -337,22 +338,6 @@ def _begun(pose: np.ndarray, calibration: Calibration) -> Belief:
     pack(whole, kernel.SAMPLES, belief.packed)
     belief.n = kernel.SAMPLES
     return belief
-
-
-def _shift(belief: Belief, sign: float) -> None:
-    """Speak of the odometry's point instead of the vehicle's (sign 1), or the other way round (-1)."""
-    belief.flush()
-    mean, lever = belief.mean, slice(kernel.LEVER, kernel.LEVER + 2)
-    c, s = math.cos(mean[2]), math.sin(mean[2])
-    turn = sign * np.array([[c, -s], [s, c]])
-    way = turn @ mean[lever]
-    mean[:2] += way
-    matrix = np.eye(kernel.SAMPLES)
-    matrix[0, 2], matrix[1, 2] = -way[1], way[0]
-    matrix[:2, lever] = turn
-    leading = belief.block(np.arange(kernel.SAMPLES))
-    pack(np.ascontiguousarray(matrix @ leading @ matrix.T), kernel.SAMPLES, belief.packed)
-    transform_leading(belief.packed, belief.n, kernel.SAMPLES, matrix)
 
 
 def _share(found: np.ndarray) -> float:
