@@ -71,6 +71,8 @@ class ContourSlam:
         self.coordinates = coordinates
         if self.motion.biases:
             raise ConfigError("motion.biases: mapping from scans estimates no errors of the odometry")
+        if coordinates not in ("invariant", "additive"):
+            raise ConfigError(f"filter.coordinates: expected invariant or additive, got {coordinates!r}")
         if not hasattr(self.lineariser, "rule"):
             raise ConfigError("filter.name: mapping from scans takes one of the built-in linearisers")
         self.rules: Rules = rules_of(self.motion, self.lineariser, coordinates, self.scanner, self.settings)
@@ -270,7 +272,7 @@ class ContourSlam:
         """The estimator that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
         from kalmap.slam.contours.checkpoint import load_contours
 
-        return load_contours(path)
+        return load_contours(cls, path)
 
 
 def _no_landmarks() -> Landmarks:
