@@ -13,10 +13,11 @@ import numpy as np
 from kalmap.records import ConfigError, EstimationError, OccupancyGrid, Sweeps
 from kalmap.records.grid import FREE, OCCUPIED, UNKNOWN
 
-HIT, MISS = 0.75, 0.36
+HIT, MISS = 0.75, 0.4
 """Probability that a cell is occupied which one scan hit, or passed, and of which nothing else is known.
 
-One scan is enough to call a cell occupied, two to call it free, and a wall stays that a third of the scans hit.
+One scan is enough to call a cell occupied, three to call it free, and a wall stays that more than a quarter of the
+scans hit.
 """
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
 """Probabilities beyond which a cell counts as occupied or free: where Nav2 draws the lines."""

@@ -256,6 +256,7 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         scan is taken on the move, and surfaces reflect unevenly.
     sigma_bearing_scale, sigma_range_offset: share and m, how far the scanner's angles and ranges may be off as a whole,
         which the map estimates; 0: they are right.
+    clear_range: m, how far the way of a beam that brought nothing back counts as free in the occupancy grid.
     background: closed maps are joined in a thread of low priority that the live filter does not wait for; the answer in
         the end is the same, only the pose on the way may come by a join later.
     """
@@ -270,6 +271,7 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_askew_deg: NonNegative = 0.3
     sigma_bearing_scale: NonNegative = 0.01
     sigma_range_offset: NonNegative = 0.03
+    clear_range: NonNegative = 5.0
     background: bool = True
 
 

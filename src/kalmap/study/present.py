@@ -29,7 +29,6 @@ from kalmap.records import (
     OccupancyGrid,
     Reference,
     RunConfig,
-    SensorConfig,
     Trajectory,
 )
 from kalmap.slam import Outcome
@@ -218,7 +217,7 @@ def save_run(
         metrics |= course_metrics(judged)
     manifest = manifest_of(outcome, log, config, " ".join(sys.argv) if command is None else command, started)
     estimate = outcome.estimate
-    grid, warnings = swept(estimate, config.sensor)
+    grid, warnings = swept(estimate, config)
     write_result(
         folder, estimate=estimate, trace=outcome.trace, metrics=metrics, manifest=manifest, grid=grid
     )
@@ -238,7 +237,7 @@ def save_run(
     return metrics
 
 
-def swept(estimate: Estimate, sensor: SensorConfig) -> tuple[OccupancyGrid | None, tuple[str, ...]]:
+def swept(estimate: Estimate, config: RunConfig) -> tuple[OccupancyGrid | None, tuple[str, ...]]:
     """The occupancy grid of the estimate's scans, and why there is none where they are too spread out for one."""
     if estimate.sweeps is None:
         return None, ()
@@ -246,7 +245,10 @@ def swept(estimate: Estimate, sensor: SensorConfig) -> tuple[OccupancyGrid | Non
     if not len(sweeps.scans):
         return None, ()
     try:
-        return occupancy_grid(sweeps, min_range=sensor.min_range, max_range=sensor.max_range), ()
+        sensor, clears = config.sensor, min(config.contour.clear_range, config.sensor.max_range)
+        return occupancy_grid(
+            sweeps, min_range=sensor.min_range, max_range=sensor.max_range, clear_range=clears
+        ), ()
     except EstimationError as problem:
         return None, (f"No map for Nav2 was written: {problem}.",)
 

@@ -221,7 +221,8 @@ class ContourSlam:
         )
         pose, covariance = composed(frame, spread, live, self._live.pose_covariance)
         contours = whole_contours(loops.maps, frames, covariances, self.settings.spacing)
-        mount = self.rules.mount
+        mount, calibration = self.rules.mount, self._live.calibration.mean
+        step = self.settings.update_distance, math.radians(self.settings.update_angle_deg)
 
         def joint() -> tuple[np.ndarray, np.ndarray]:
             raise JointTooLargeError("contours of several local maps have covariances of their own only")
@@ -229,7 +230,7 @@ class ContourSlam:
         return Estimate(
             time=self._time, pose=pose, covariance=covariance, landmarks=_no_landmarks(), biases={}, joint=joint,
             coordinates=self.coordinates, contours=contours, trajectory=trajectory,
-            sweeps=lambda: whole_sweeps(legs, frames, mount), counts=self._counts(loops),
+            sweeps=lambda: whole_sweeps(legs, frames, mount, calibration, step), counts=self._counts(loops),
         )  # fmt: skip
 
     def _placed(self, loops: Loops) -> tuple[np.ndarray, np.ndarray]:

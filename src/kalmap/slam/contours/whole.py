@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
-from kalmap.records import Contours, Sweeps, Trajectory
+from kalmap.records import Contours, Scan, Sweeps, Trajectory
 from kalmap.slam.contours.closed import ENOUGH, ClosedMap, neighbours
 from kalmap.slam.contours.leg import Leg, composed
 
@@ -111,14 +113,40 @@ def whole_trajectory(legs: Sequence[Leg], frames: np.ndarray, covariances: np.nd
     )
 
 
-def whole_sweeps(legs: Sequence[Leg], frames: np.ndarray, mount: np.ndarray) -> Sweeps:
-    """Every scan where the scanner stood."""
-    poses = [np.zeros((0, 3))]
-    poses += [
-        compose(np.broadcast_to(frame, leg.poses.shape), leg.poses)
-        for leg, frame in zip(legs, frames, strict=True)
-    ]
+def whole_sweeps(
+    legs: Sequence[Leg],
+    frames: np.ndarray,
+    mount: np.ndarray,
+    calibration: np.ndarray,
+    step: tuple[float, float],
+) -> Sweeps:
+    """The scans that were taken some way apart, where the scanner stood, its calibration taken out.
+
+    mount: (3,) the scanner on the vehicle. calibration: (2,) bearing scale and range offset m. step: m and rad, a scan
+    is left out if the vehicle has moved less since the one before.
+    """
+    poses, scans = [np.zeros((0, 3))], []
+    for leg, frame in zip(legs, frames, strict=True):
+        kept = _apart(leg.poses, step)
+        poses.append(compose(np.broadcast_to(frame, (len(kept), 3)), leg.poses[kept]))
+        scans += [_calibrated(leg.scans[row], calibration) for row in kept]
     at = np.concatenate(poses)
-    return Sweeps(
-        compose(at, np.broadcast_to(mount, at.shape)), tuple(scan for leg in legs for scan in leg.scans)
-    )
+    return Sweeps(compose(at, np.broadcast_to(mount, at.shape)), tuple(scans))
+
+
+def _apart(poses: np.ndarray, step: tuple[float, float]) -> np.ndarray:
+    """Rows of which each is some way from the one before."""
+    kept: list[int] = []
+    for row, pose in enumerate(poses):
+        if kept:
+            last = poses[kept[-1]]
+            turn = abs(float(wrap(pose[2] - last[2])))
+            if np.hypot(*(pose[:2] - last[:2])) < step[0] and turn < step[1]:
+                continue
+        kept.append(row)
+    return np.array(kept, dtype=np.int64)
+
+
+def _calibrated(scan: Scan, calibration: np.ndarray) -> Scan:
+    bearings, ranges = scan.bearings * (1.0 + calibration[0]), scan.ranges + calibration[1]
+    return msgspec.structs.replace(scan, bearings=bearings, ranges=ranges)
