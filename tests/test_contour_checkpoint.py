@@ -245,6 +245,7 @@ def numbers_of(header: dict) -> list[int]:
     for each in loops["maps"]:
         found += [each[name] for name in ("mean", "packed", "normals", "sightings")]
     found += [loops["relations"][0][name] for name in ("pose", "information")]
+    found += [each["driven"] for each in header["legs"]]
     for each in (*header["legs"], header["ends"]):
         found += [each["poses"], each["covariances"]]
     scans = header["scans"]

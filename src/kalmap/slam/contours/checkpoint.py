@@ -51,10 +51,16 @@ class _Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _Places(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the scans of a leg were taken: (K, 3) and (K, 3, 3)."""
+    """(K, 3) poses and their covariances (K, 3, 3)."""
 
     poses: np.ndarray
     covariances: np.ndarray
+
+
+class _Leg(_Places, frozen=True, forbid_unknown_fields=True):
+    """Where the scans of a leg were taken; driven: see `Leg`."""
+
+    driven: np.ndarray
 
 
 class _Loops(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -81,7 +87,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     start_covariance: np.ndarray
     live: _Live
     loops: _Loops
-    legs: list[_Places]
+    legs: list[_Leg]
     scans: StoredScans
     ends: _Places
     time: float
@@ -106,7 +112,7 @@ def save_contours(slam: ContourSlam, path: str | os.PathLike[str]) -> None:
         start_covariance=slam._start_covariance,
         live=_Live(live.belief, live._since, live.normals, live.sightings, live.open, _numbers(live)),
         loops=_record(joined.loops),
-        legs=[_Places(leg.poses, leg.covariances) for leg in legs],
+        legs=[_Leg(leg.poses, leg.covariances, leg.driven) for leg in legs],
         scans=stored_scans([scan for leg in legs for scan in leg.scans]),
         ends=_Places(
             np.array([pose for pose, _ in slam._ends]).reshape(-1, 3),
@@ -141,6 +147,7 @@ def load_contours(kind: type[ContourSlam], path: str | os.PathLike[str]) -> Cont
         slam._leg = OpenLeg()
         for row in zip(legs[-1].scans, legs[-1].poses, legs[-1].covariances, strict=True):
             slam._leg.append(*row)
+        slam._leg.driven = legs[-1].driven
         slam._worker = Worker(Joined(_loops(state.loops), legs[:-1]), state.settings.background)
         slam._ends = list(zip(state.ends.poses, state.ends.covariances, strict=True))
         slam._time, slam._moved = state.time, state.moved
@@ -208,7 +215,7 @@ def _legs(state: _State) -> list[Leg]:
         taken += len(rows)
         times = np.array([scan.time for scan in rows], dtype=float)
         stamps = np.array([scan.stamp for scan in rows], dtype=float)
-        legs.append(Leg(times, stamps, each.poses, each.covariances, rows))
+        legs.append(Leg(times, stamps, each.poses, each.covariances, rows, each.driven))
     return legs
 
 
@@ -235,5 +242,6 @@ def _check(state: _State) -> None:
         check_arrays(
             (places.poses, (len(places.poses), 3), "f"), (places.covariances, (len(places.poses), 3, 3), "f")
         )
+    check_arrays(*((each.driven, (2, 2), "f") for each in state.legs))
     if (len(state.legs), len(state.ends.poses)) != (maps + 1, maps):
         raise ValueError("its closed maps and their legs are not as many")

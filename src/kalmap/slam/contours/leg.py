@@ -12,7 +12,7 @@ from kalmap.records import Scan
 class Leg(msgspec.Struct, frozen=True, eq=False):
     """times, stamps: (K,) s, stamps NaN where the time is the stamp; poses: (K, 3); covariances: (K, 3, 3).
 
-    scans: of each row.
+    scans: of each row. driven: (2, 2) m^2, what the odometry alone would have added to the vehicle's covariance.
     """
 
     times: np.ndarray
@@ -20,6 +20,7 @@ class Leg(msgspec.Struct, frozen=True, eq=False):
     poses: np.ndarray
     covariances: np.ndarray
     scans: tuple[Scan, ...]
+    driven: np.ndarray
 
 
 class OpenLeg:
@@ -27,6 +28,7 @@ class OpenLeg:
 
     def __init__(self) -> None:
         self.rows: list[tuple[Scan, np.ndarray, np.ndarray]] = []
+        self.driven = np.zeros((2, 2))
 
     def append(self, scan: Scan, pose: np.ndarray, covariance: np.ndarray) -> None:
         """A further scan, and where it was taken."""
@@ -41,6 +43,7 @@ class OpenLeg:
             poses=np.array([row[1] for row in self.rows], dtype=float).reshape(-1, 3),
             covariances=np.array([row[2] for row in self.rows], dtype=float).reshape(-1, 3, 3),
             scans=scans,
+            driven=self.driven.copy(),
         )
 
 
