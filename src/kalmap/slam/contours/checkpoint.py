@@ -58,8 +58,9 @@ class _Places(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _Leg(_Places, frozen=True, forbid_unknown_fields=True):
-    """Where the scans of a leg were taken; driven: see `Leg`."""
+    """Where the scans of a leg were taken; twists, driven: see `Leg`."""
 
+    twists: np.ndarray
     driven: np.ndarray
 
 
@@ -94,6 +95,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     moved: bool
     way: float
     turn: float
+    twist: np.ndarray
     changes: int
     frames: int
 
@@ -112,7 +114,7 @@ def save_contours(slam: ContourSlam, path: str | os.PathLike[str]) -> None:
         start_covariance=slam._start_covariance,
         live=_Live(live.belief, live._since, live.normals, live.sightings, live.open, _numbers(live)),
         loops=_record(joined.loops),
-        legs=[_Leg(leg.poses, leg.covariances, leg.driven) for leg in legs],
+        legs=[_Leg(leg.poses, leg.covariances, leg.twists, leg.driven) for leg in legs],
         scans=stored_scans([scan for leg in legs for scan in leg.scans]),
         ends=_Places(
             np.array([pose for pose, _ in slam._ends]).reshape(-1, 3),
@@ -122,6 +124,7 @@ def save_contours(slam: ContourSlam, path: str | os.PathLike[str]) -> None:
         moved=slam._moved,
         way=slam._way,
         turn=slam._turn,
+        twist=slam._twist,
         changes=slam._changes,
         frames=slam._frames,
     )
@@ -145,13 +148,13 @@ def load_contours(kind: type[ContourSlam], path: str | os.PathLike[str]) -> Cont
         slam._live = _live(slam._live, state.live)
         legs = _legs(state)
         slam._leg = OpenLeg()
-        for row in zip(legs[-1].scans, legs[-1].poses, legs[-1].covariances, strict=True):
+        for row in zip(legs[-1].scans, legs[-1].poses, legs[-1].covariances, legs[-1].twists, strict=True):
             slam._leg.append(*row)
         slam._leg.driven = legs[-1].driven
         slam._worker = Worker(Joined(_loops(state.loops), legs[:-1]), state.settings.background)
         slam._ends = list(zip(state.ends.poses, state.ends.covariances, strict=True))
         slam._time, slam._moved = state.time, state.moved
-        slam._way, slam._turn = state.way, state.turn
+        slam._way, slam._turn, slam._twist = state.way, state.turn, state.twist
         slam._changes, slam._frames = state.changes, state.frames
         return slam
 
@@ -215,7 +218,7 @@ def _legs(state: _State) -> list[Leg]:
         taken += len(rows)
         times = np.array([scan.time for scan in rows], dtype=float)
         stamps = np.array([scan.stamp for scan in rows], dtype=float)
-        legs.append(Leg(times, stamps, each.poses, each.covariances, rows, each.driven))
+        legs.append(Leg(times, stamps, each.poses, each.covariances, each.twists, rows, each.driven))
     return legs
 
 
@@ -242,6 +245,7 @@ def _check(state: _State) -> None:
         check_arrays(
             (places.poses, (len(places.poses), 3), "f"), (places.covariances, (len(places.poses), 3, 3), "f")
         )
-    check_arrays(*((each.driven, (2, 2), "f") for each in state.legs))
+    check_arrays((state.twist, (3,), "f"), *((each.driven, (2, 2), "f") for each in state.legs))
+    check_arrays(*((each.twists, (len(each.poses), 3), "f") for each in state.legs))
     if (len(state.legs), len(state.ends.poses)) != (maps + 1, maps):
         raise ValueError("its closed maps and their legs are not as many")
