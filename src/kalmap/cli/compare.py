@@ -31,7 +31,8 @@ _SHOWN = (
     metavar="A,B,...",
     help="By name, as --method of `kalmap run` takes them. Behind a filter, if wanted, :additive, :invariant, :joint, "
     ":sequential or an association, as in cr-cdkf:djnn; behind a method of sets :motion, :sightings or a weighting, as "
-    "in srckf-phd:motion:single-feature.",
+    "in srckf-phd:motion:single-feature; behind slasem and dc-slasem a filter, :additive or :invariant, as in "
+    "dc-slasem:ekf.",
 )
 @click.option(
     "--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of a simulated world."
@@ -60,7 +61,7 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     from kalmap.cli.interrupt import stop_between_events
     from kalmap.cli.progress import progress_bar, time_span
     from kalmap.cli.run import merge_seed
-    from kalmap.cli.settings import resolve
+    from kalmap.cli.settings import check_detector, resolve
     from kalmap.cli.source import open_source
     from kalmap.records import RunConfig
     from kalmap.study import compare_methods
@@ -74,6 +75,8 @@ def _single(text: str, methods: str, out: Path | None, given: dict[str, Any]) ->
     )
     config = resolve(log.defaults, merge_seed(settings, seed))
     chosen = _methods(methods, config, given)
+    for method in chosen:
+        check_detector(log.defaults, settings, method.on(config))
     folder = make_folder(out or default_folder("kalmap-compare", log.name))
     span = time_span(log)
     with progress_bar(log.name, given["quiet"]) as show, stop_between_events() as stop:
@@ -131,7 +134,7 @@ def _seeds(
     text: str, methods: str, runs: int, workers: int | None, out: Path | None, given: dict[str, Any]
 ) -> int:
     from kalmap.cli.progress import progress_bar
-    from kalmap.cli.settings import resolve
+    from kalmap.cli.settings import check_detector, resolve
     from kalmap.cli.source import find_world
     from kalmap.records import ConfigError
     from kalmap.study import compare_seeds
@@ -146,6 +149,8 @@ def _seeds(
         raise ConfigError(f"{extra[0]}: with --runs the filters take the world's own noise and sensor")
     config = resolve(world.defaults(), settings)  # a world of scans has no ids to go by
     chosen = _methods(methods, config, given)
+    for method in chosen:
+        check_detector(world.defaults(), settings, method.on(config))
     folder = out or Path(f"kalmap-compare-{world.name}")
     folder.mkdir(parents=True, exist_ok=True)
     with progress_bar(world.name, given["quiet"]) as show:

@@ -150,9 +150,14 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     filter_name = method if method in FILTER_NAMES else filter_name
     table = settings.get("finite_set")
     sets = table.get("method") if isinstance(table, dict) else None
+    landmarks = any(given.get(key) not in (None, False) for key in _LANDMARKS_ONLY)
     if method in CONTOUR_METHODS:
         flags.setdefault("contour", {})["method"] = method
         _refuse(given, _LANDMARKS_ONLY, method)
+    elif method is not None or (landmarks and "contour" not in settings):
+        flags.setdefault("contour", {})["method"] = (
+            None  # landmarks, also where a log of scans has contours in mind
+        )
     if method in SET_METHODS:  # pmbm begins with a filter
         sets = flags.setdefault("finite_set", {})["method"] = method
     elif filter_name is not None:

@@ -70,7 +70,7 @@ def run_once(
     from kalmap.cli.folder import default_folder, drop_drawn, make_folder, savable
     from kalmap.cli.interrupt import stop_between_events
     from kalmap.cli.progress import progress_bar, summary_line, time_span
-    from kalmap.cli.settings import resolve
+    from kalmap.cli.settings import check_detector, resolve
     from kalmap.cli.source import open_source
     from kalmap.data import reader_notes
     from kalmap.records import EstimationError, RunConfig
@@ -83,9 +83,11 @@ def run_once(
         for note in reader_notes(log):
             say(f"note: {note}")
     config = resolve(log.defaults, merge_seed(settings, seed))
+    check_detector(log.defaults, settings, config)
     # Compiled code comes in only now, so that a log or setting that cannot be is told at once.
     from kalmap.slam import run, slam_from_config
     from kalmap.study.present import method_label, save_run
+    from kalmap.view import contour_warnings
 
     slam = slam_from_config(config, log)
     folder = make_folder(out or default_folder("kalmap", log.name))
@@ -107,6 +109,8 @@ def run_once(
         raise EstimationError(f"{outcome.error}; {problem}" if outcome.error else str(problem)) from problem
     if not given["quiet"]:
         summary_line(f"{log.name}, {method_label(config)}", metrics)
+        for warning in contour_warnings(metrics):
+            say(f"note: {warning}")
         click.echo(f"written to {folder}{' (see report.html)' if figures else ''}")
         if not (folder / "map.kalmap").exists():
             click.echo("without map.kalmap: the joint covariance of so large a map cannot be written out")

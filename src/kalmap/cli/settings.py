@@ -6,11 +6,12 @@ import json
 import math
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from kalmap.records import ConfigError, LogError, RunConfig
+from kalmap.records.config import DetectorName
 
 Settings = dict[str, Any]
 
@@ -84,6 +85,21 @@ def resolve(defaults: RunConfig, settings: Settings) -> RunConfig:
         raise ConfigError(f"configuration: {problem}") from problem
     _check_finite(msgspec.to_builtins(resolved), "$")
     return resolved
+
+
+def check_detector(defaults: RunConfig, settings: Settings, config: RunConfig) -> None:
+    """Raise ConfigError where landmarks are to be mapped from a log of raw scans, and nobody said what they are.
+
+    defaults: the log's own. settings: as they were given. config: as they were resolved.
+    """
+    asked = settings.get("perception")
+    named = isinstance(asked, dict) and "detector" in asked
+    if defaults.contour.method is not None and config.contour.method is None and not named:
+        known = " or ".join(get_args(DetectorName))
+        raise ConfigError(
+            f"the log holds raw scans and no landmarks: say what to look for in them (--detector {known}), or map "
+            "contours (--method dc-slasem or slasem; --filter takes its filter)"
+        )
 
 
 def _check_finite(settings: Settings, place: str) -> None:

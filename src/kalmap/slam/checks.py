@@ -52,6 +52,14 @@ def check_frame(frame: Sightings, moved: bool) -> None:
             raise NotPositiveError("the noise of a sighting is not positive semi-definite")
 
 
+def check_scan(scan: Scan) -> None:
+    """Raise EventError unless a scan has a row of ranges, and as many bearings."""
+    ranges, bearings = np.shape(scan.ranges), np.shape(scan.bearings)
+    if len(ranges) != 1 or ranges != bearings:
+        problem = f"{ranges} ranges and {bearings} bearings: expected a row of each, as long"
+        raise EventError(problem, time=scan.time, field="ranges")
+
+
 def check_sightings(frame: Sightings, bad: int) -> None:
     """Raise EventError for the sighting number `bad`, if that is not -1."""
     if bad >= 0:

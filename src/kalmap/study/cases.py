@@ -15,6 +15,7 @@ from kalmap.evaluation import (
 )
 from kalmap.evaluation.trajectory import aligned
 from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig, final_course
+from kalmap.records.config import ContourMethod
 from kalmap.simulate import FloorWorld, World, simulate
 from kalmap.slam import Outcome, run, slam_from_config
 from kalmap.study.recorded import Recorded
@@ -56,13 +57,15 @@ CURVE_POINTS = 200
 class Method(msgspec.Struct, frozen=True):
     """A filter, and perhaps an association of its own, under the name that tables and figures give it.
 
-    finite_set: of a method of random finite sets, for which filter and association mean nothing.
+    finite_set: of a method of random finite sets, for which filter and association mean nothing. contour: of a map of
+    contours from raw scans; None: landmarks are mapped.
     """
 
     name: str
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig | None = None
     finite_set: FiniteSetConfig | None = None
+    contour: ContourMethod | None = None
 
     def on(self, base: RunConfig) -> RunConfig:
         """The settings with this method's in place of their own."""
@@ -71,6 +74,7 @@ class Method(msgspec.Struct, frozen=True):
             filter=self.filter,
             association=self.association or base.association,
             finite_set=self.finite_set or msgspec.structs.replace(base.finite_set, method=None),
+            contour=msgspec.structs.replace(base.contour, method=self.contour),
         )
 
 

@@ -1,13 +1,14 @@
-"""Methods by name: "cr-cdkf:additive", "ekf:jcbb", "srckf-phd:motion:single-feature"."""
+"""Methods by name: "cr-cdkf:additive", "ekf:jcbb", "srckf-phd:motion:single-feature", "dc-slasem:ekf"."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from kalmap.records import AssociationConfig, ConfigError, FilterConfig, FiniteSetConfig, RunConfig
+from kalmap.records.config import ContourMethod
 from kalmap.slam import ASSOCIATIONS, FILTERS, SET_METHODS, WEIGHED_METHODS, check_method, resolve_filter
 from kalmap.study.cases import Method
 
@@ -17,6 +18,11 @@ _FILTER_SUFFIXES = {
     "joint": ("use", "joint"),
     "sequential": ("use", "sequential"),
     **{name: ("association", name) for name in ASSOCIATIONS},
+}
+_CONTOUR_METHODS: tuple[str, ...] = get_args(ContourMethod)
+_CONTOUR_SUFFIXES = {
+    **{name: ("coordinates", name) for name in ("additive", "invariant")},
+    **{name: ("name", name) for name in FILTERS},
 }
 _SET_SUFFIXES = {
     **{name: ("proposal", name) for name in ("motion", "sightings")},
@@ -30,7 +36,8 @@ def parse_method(
     association: AssociationConfig | None = None,
     finite_set: FiniteSetConfig | None = None,
 ) -> Method:
-    """The method of "ekf", "cr-cdkf:additive", "ekf:invariant:sequential", "cr-cdkf:djnn", "srckf-phd:motion".
+    """The method of "ekf", "cr-cdkf:additive", "ekf:invariant:sequential", "cr-cdkf:djnn", "srckf-phd:motion", or
+    "dc-slasem:ekf".
 
     association: where its settings come from if the text names a method of association. base: where coordinates
     and use come from if the text does not say; the scope is the name's. finite_set: likewise for a method of random
@@ -46,8 +53,17 @@ def parse_method(
         sets = msgspec.structs.replace(finite_set or FiniteSetConfig(), method=name, **said)
         check_method(RunConfig(finite_set=sets))
         return Method(label, base or FilterConfig(), finite_set=sets)
+    if name in _CONTOUR_METHODS:
+        said = _said(text, suffixes, _CONTOUR_SUFFIXES)
+        return Method(
+            label,
+            msgspec.structs.replace(
+                base or FilterConfig(), **({"scope": None} if "name" in said else {}), **said
+            ),
+            contour=name,  # type: ignore[arg-type]
+        )
     if name not in FILTERS:
-        known = ", ".join((*FILTERS, *SET_METHODS))
+        known = ", ".join((*FILTERS, *SET_METHODS, *_CONTOUR_METHODS))
         raise ConfigError(f"method {text!r}: unknown filter {name!r}; known are {known}")
     said = _said(text, suffixes, _FILTER_SUFFIXES)
     own = said.pop("association", None)

@@ -43,6 +43,7 @@ from kalmap.view import (
     SetCurve,
     SetView,
     comparison_figures,
+    contour_warnings,
     decision_figure,
     render_comparison,
     render_report,
@@ -231,7 +232,12 @@ def save_run(
         paths = save_figures(folder / "figures", drawn)
         pictures = {name: path.read_bytes() for name, path in paths.items()}
         page = render_report(
-            view, metrics=metrics, manifest=manifest, figures=pictures, warnings=warnings, trail=trail
+            view,
+            metrics=metrics,
+            manifest=manifest,
+            figures=pictures,
+            warnings=(*contour_warnings(metrics), *warnings),
+            trail=trail,
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics

@@ -2,6 +2,7 @@
 
 from kalmap.view.compare_figure import maps_figure
 from kalmap.view.comparison import render_comparison, render_study
+from kalmap.view.contour_report import contour_warnings
 from kalmap.view.decision_figure import decision_figure
 from kalmap.view.dots_figure import dots_figure
 from kalmap.view.figures import comparison_figures, run_figures
@@ -34,6 +35,7 @@ __all__ = [
     "StudyTable",
     "Trail",
     "comparison_figures",
+    "contour_warnings",
     "decision_figure",
     "dots_figure",
     "intensity_figure",

@@ -50,6 +50,20 @@ def relation_cards(metrics: Mapping[str, Any]) -> Iterator[Card]:
     yield "Relations error", number(moved), "m mean", f"{says}, {missed} not found." if missed else f"{says}."
 
 
+def contour_warnings(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """What must be known before a map of contours is trusted: where scans tell nothing of the way along a direction."""
+    loose, maps = metrics.get("local_maps_loose"), metrics.get("local_maps")
+    sigma, direction = metrics.get("weakest_direction_sigma_m"), metrics.get("weakest_direction_deg")
+    if not loose or maps is None or sigma is None or direction is None:
+        return ()
+    where = "The scans" if maps == loose == 1 else f"In {loose} of {maps} local maps the scans"
+    return (
+        f"{where} hold the vehicle along one direction no better than its odometry does, as in a corridor without "
+        f"features: the map is only as long there as the odometry says (weakest at {number(direction)} deg, standard "
+        f"deviation {number(sigma)} m).",
+    )
+
+
 def contour_section(contours: Contours) -> str:
     """HTML of how large the map is, and how sure."""
     if not len(contours):

@@ -81,6 +81,10 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
         "Of what the beams hit, how much lies more than 0.5 m from every contour.",
     ),
     (frozenset({"crispness"}), "Distance of what the beams hit, at its final place, to the contours."),
+    (
+        frozenset({"weakest", "direction"}),
+        "Where the scans hold the vehicle least: at the end of a local map, as seen from its start.",
+    ),
     (frozenset({"map", "error"}), "Distance of the contours' samples to the true walls."),
     (frozenset({"loop", "error"}), "Error of the drive's end as seen from its start."),
     (frozenset({"online"}), "The same for what was said at the time, before later loops were known."),
@@ -104,6 +108,7 @@ _EXPLANATIONS: tuple[tuple[frozenset[str], str], ...] = (
 _COUNTS = {
     "contour samples": "Points that the contours are known at.",
     "contour runs": "Unbroken stretches of contour.",
+    "local maps loose": "Local maps that the scans hold no better than the odometry along one direction.",
     "crispness points": "Of what the beams hit, how much was measured.",
     "relations found": "Known motions both of whose instants have a pose.",
     "relations missed": "Known motions of which an instant has no pose.",

@@ -57,7 +57,9 @@ class FrameGraph:
         return other
 
     def solve(self, rounds: int = 10, tolerance: float = 1e-7) -> None:
-        """Move the frames to where the relations want them."""
+        """Move the frames to where the relations want them; one alone, or none, stays where it is."""
+        if len(self.frames) < 2:
+            return
         for _ in range(rounds):
             information, right = self._normal()
             step = np.linalg.solve(information, right).reshape(-1, 3)

@@ -12,7 +12,8 @@ from kalmap.records import Scan
 class Leg(msgspec.Struct, frozen=True, eq=False):
     """times, stamps: (K,) s, stamps NaN where the time is the stamp; poses: (K, 3); covariances: (K, 3, 3).
 
-    twists: (K, 3) m/s, m/s, rad/s of the vehicle. scans: of each row.
+    twists: (K, 3) m/s, m/s, rad/s of the vehicle. scans: of each row. driven: (2, 2) m^2, what the odometry alone would
+    have added to the vehicle's covariance.
     """
 
     times: np.ndarray
@@ -21,6 +22,7 @@ class Leg(msgspec.Struct, frozen=True, eq=False):
     covariances: np.ndarray
     twists: np.ndarray
     scans: tuple[Scan, ...]
+    driven: np.ndarray
 
 
 class OpenLeg:
@@ -28,6 +30,7 @@ class OpenLeg:
 
     def __init__(self) -> None:
         self.rows: list[tuple[Scan, np.ndarray, np.ndarray, np.ndarray]] = []
+        self.driven = np.zeros((2, 2))
 
     def append(self, scan: Scan, pose: np.ndarray, covariance: np.ndarray, twist: np.ndarray) -> None:
         """A further scan, where it was taken and how fast the vehicle went."""
@@ -43,6 +46,7 @@ class OpenLeg:
             covariances=np.array([row[2] for row in self.rows], dtype=float).reshape(-1, 3, 3),
             twists=np.array([row[3] for row in self.rows], dtype=float).reshape(-1, 3),
             scans=scans,
+            driven=self.driven.copy(),
         )
 
 

@@ -202,6 +202,11 @@ class LiveMap:
         """(3, 3); a copy."""
         return self.belief.robot_covariance()
 
+    @property
+    def driven(self) -> np.ndarray:
+        """(2, 2) m^2, what the odometry since the last scan that was used has added to the place's covariance."""
+        return self._since.robot_covariance()[:2, :2]
+
     def map(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (3 + 2 N,) and covariance of pose and samples, the scanner's calibration left out."""
         kept = np.concatenate([np.arange(3), np.arange(kernel.SAMPLES, self.belief.n)])

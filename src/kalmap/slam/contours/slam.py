@@ -27,7 +27,9 @@ from kalmap.records import (
     SensorConfig,
     Sightings,
 )
-from kalmap.slam.checks import check_odometry, check_time, checked_start
+from kalmap.slam.checks import check_odometry, check_scan, check_time, checked_start
+from kalmap.slam.contours.closed import ENOUGH
+from kalmap.slam.contours.held import holding
 from kalmap.slam.contours.leg import OpenLeg, composed
 from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
 from kalmap.slam.contours.loops import Loops
@@ -72,6 +74,8 @@ class ContourSlam:
         self.coordinates = coordinates
         if self.motion.biases:
             raise ConfigError("motion.biases: mapping from scans estimates no errors of the odometry")
+        if coordinates not in ("invariant", "additive"):
+            raise ConfigError(f"filter.coordinates: expected invariant or additive, got {coordinates!r}")
         if not hasattr(self.lineariser, "rule"):
             raise ConfigError("filter.name: mapping from scans takes one of the built-in linearisers")
         self.rules: Rules = rules_of(self.motion, self.lineariser, coordinates, self.scanner, self.settings)
@@ -135,6 +139,7 @@ class ContourSlam:
     def _observe(self, scan: Scan) -> None:
         if not self._moved:
             raise EventError("a scan before any odometry", time=scan.time, field="time")
+        check_scan(scan)
         used = not self._live.scans or self._far_enough()
         self.frame_nis, self.frame_used = float("nan"), 0
         if used:
@@ -150,10 +155,12 @@ class ContourSlam:
     def _use(self, scan: Scan) -> None:
         """Correct the local map by a scan."""
         seen = prepare(scan, self.rules, self._live.calibration.mean, self._twist)
+        driven = self._live.driven
         try:
             self._live.observe(seen)
         except NotPositiveError as problem:
             raise EstimationError(f"t = {scan.time:.6g} s: {problem}") from problem
+        self._leg.driven += driven
         self._way = self._turn = 0.0
         self.frame_nis, self.frame_used = self._live.nis, self._live.used
 
@@ -227,12 +234,11 @@ class ContourSlam:
         loops.finish()
         frames, covariances = self._placed(loops)
         trajectory = whole_trajectory(legs, frames, covariances)
-        live = self._live.pose if self._live.scans else np.zeros(3)
         frame, spread = (
             (frames[-1], covariances[-1]) if len(frames) else (self._start, self._start_covariance)
         )
-        pose, covariance = composed(frame, spread, live, self._live.pose_covariance)
-        contours = whole_contours(loops.maps, frames, covariances, self.settings.spacing)
+        pose, covariance = composed(frame, spread, self._live.pose, self._live.pose_covariance)
+        contours = whole_contours(loops.maps, frames, covariances, self.settings.spacing, self._enough())
         rules, calibration = self.rules, self._live.calibration.mean
 
         def joint() -> tuple[np.ndarray, np.ndarray]:
@@ -241,8 +247,13 @@ class ContourSlam:
         return Estimate(
             time=self._time, pose=pose, covariance=covariance, landmarks=_no_landmarks(), biases={}, joint=joint,
             coordinates=self.coordinates, contours=contours, trajectory=trajectory,
-            sweeps=lambda: whole_sweeps(legs, frames, rules, calibration), counts=self._counts(loops),
+            sweeps=lambda: whole_sweeps(legs, frames, rules, calibration),
+            counts=self._counts(loops) | holding(legs, frames),
         )  # fmt: skip
+
+    def _enough(self) -> int:
+        """Scans that must have seen a sample that is told of: one, where no more than one was used."""
+        return ENOUGH if self._ends or self._live.scans > 1 else 1
 
     def _placed(self, loops: Loops) -> tuple[np.ndarray, np.ndarray]:
         """Frames (n, 3) of all local maps and their covariances (n, 3, 3)."""
@@ -288,7 +299,7 @@ class ContourSlam:
         """The estimator that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
         from kalmap.slam.contours.checkpoint import load_contours
 
-        return load_contours(path)
+        return load_contours(cls, path)
 
 
 def _no_landmarks() -> Landmarks:

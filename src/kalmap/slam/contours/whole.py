@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
 from kalmap.records import Contours, Sweeps, Trajectory
-from kalmap.slam.contours.closed import ENOUGH, ClosedMap, neighbours
+from kalmap.slam.contours.closed import ClosedMap, neighbours
 from kalmap.slam.contours.leg import Leg, composed
 from kalmap.slam.contours.live import Rules, calibrated, undistorted
 
@@ -23,17 +23,18 @@ CROWDED = (
 
 
 def whole_contours(
-    maps: Sequence[ClosedMap], frames: np.ndarray, covariances: np.ndarray, spacing: float
+    maps: Sequence[ClosedMap], frames: np.ndarray, covariances: np.ndarray, spacing: float, enough: int
 ) -> Contours:
     """All maps' samples in one frame; where maps lie on each other, those of the first one.
 
     frames: (n, 3), covariances: (n, 3, 3) of the maps' frames. A sample's covariance is its own and its frame's.
+    enough: scans that must have seen a sample.
     """
     kept: list[tuple[np.ndarray, ...]] = [
         (np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0, np.int64))
     ]
     for closed, frame, covariance in zip(maps, frames, covariances, strict=True):
-        rows = np.flatnonzero(closed.sightings >= ENOUGH)
+        rows = np.flatnonzero(closed.sightings >= enough)
         placed = frame[:2] + rotate(frame[2], closed.samples[rows])
         normals = rotate(frame[2], closed.normals[rows])
         before, facing = (
