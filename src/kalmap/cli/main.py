@@ -15,6 +15,7 @@ _VERBS = {
     "demo": "Run the main job on the built-in world.",
     "run": "Run a filter over a log or a simulated world.",
     "compare": "Run several filters over the same log.",
+    "join": "Join two finished maps, of two robots or two days.",
     "why": "Say why sightings went to the landmarks they went to.",
     "check": "Say what is in a log and what is wrong with it.",
     "reproduce": "Make a paper's tables and figures again.",

@@ -13,10 +13,12 @@ from kalmap.cli.settings import Settings, merge, parse_pairs, read_config
 FILTER_NAMES = ("ekf", "ukf", "cdkf", "ckf", "cr-ukf", "cr-cdkf", "cr-ckf")
 
 SET_METHODS = ("rb-phd", "srckf-phd", "mh-fastslam", "pmb", "pmbm")
-METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS)
+CONTOUR_METHODS = ("slasem", "dc-slasem")
+METHOD_NAMES = (*FILTER_NAMES, *SET_METHODS, *CONTOUR_METHODS)
 # settings of the one family that the other has no use for
-_FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management")
+_FILTERS_ONLY = ("filter_name", "scope", "coordinates", "use", "association", "management", "divide")
 _SETS_ONLY = ("particles", "proposal", "weighting")
+_LANDMARKS_ONLY = ("use", "association", "management", "detector", "divide")
 
 _TOPICS = (
     click.option("--scan-topic", help="Of a ROS bag with several lasers."),
@@ -56,6 +58,11 @@ _SHARED = (
         "--weighting",
         type=click.Choice(["empty", "single-feature", "single-cluster", "multi-feature"]),
         help="rb-phd, srckf-phd: what of the map weighs a particle.",
+    ),
+    click.option(
+        "--divide",
+        is_flag=True,
+        help="Divide and conquer: local maps, joined in a forest; a Kalman filter's step does not grow with the map.",
     ),
     click.option("--config", "config_file", type=click.Path(path_type=Path), help="TOML or JSON settings."),
     click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One setting; may be repeated."),
@@ -121,6 +128,8 @@ def gather(given: dict[str, Any], several: bool = False) -> tuple[Settings, dict
             flags.setdefault(table, {})[field] = given[key]
     if given["seed"] is not None:
         flags["seed"] = given["seed"]
+    if given["divide"]:
+        flags["divide"] = {"on": True}
     if given["tolerant"]:
         flags["tolerant"] = True
     settings = merge(settings, flags)
@@ -141,6 +150,9 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     filter_name = method if method in FILTER_NAMES else filter_name
     table = settings.get("finite_set")
     sets = table.get("method") if isinstance(table, dict) else None
+    if method in CONTOUR_METHODS:
+        flags.setdefault("contour", {})["method"] = method
+        _refuse(given, _LANDMARKS_ONLY, method)
     if method in SET_METHODS:  # pmbm begins with a filter
         sets = flags.setdefault("finite_set", {})["method"] = method
     elif filter_name is not None:
@@ -148,11 +160,19 @@ def _chosen(given: dict[str, Any], settings: Settings, flags: Settings) -> str |
     if sets is None:
         refuse_for_sets_only(given, filter_name or "a Kalman filter")
         return filter_name
-    for key in _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting"):
-        if given.get(key) is not None:
-            option = "filter" if key == "filter_name" else key
-            raise click.UsageError(f"--{option} {given[key]} means nothing to {sets}")
+    _refuse(
+        given, _FILTERS_ONLY if sets != "pmbm" else ("association", "proposal", "weighting", "divide"), sets
+    )
     return filter_name
+
+
+def _refuse(given: dict[str, Any], keys: tuple[str, ...], method: str) -> None:
+    """Raise UsageError if an option is given that the method has no use for."""
+    for key in keys:
+        if given.get(key) not in (None, False):
+            option = "filter" if key == "filter_name" else key
+            value = "" if given[key] is True else f" {given[key]}"
+            raise click.UsageError(f"--{option}{value} means nothing to {method}")
 
 
 def refuse_for_sets_only(given: dict[str, Any], method: str) -> None:

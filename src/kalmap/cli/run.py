@@ -17,7 +17,8 @@ from kalmap.cli.options import FILTER_NAMES, METHOD_NAMES, gather, parse_robot, 
 @click.option(
     "--method",
     type=click.Choice(METHOD_NAMES),
-    help="A Kalman filter, as --filter takes it, or one of random finite sets, which need no association.",
+    help="A Kalman filter, as --filter takes it; one of random finite sets, without association; or contours from "
+    "raw scans: slasem in one map, dc-slasem by divide and conquer.",
 )
 @click.option("--filter", "filter_name", type=click.Choice(FILTER_NAMES), help="Default: cr-cdkf.")
 @click.option("--out", type=click.Path(path_type=Path), help="Result folder; default kalmap-LOG.")
@@ -107,6 +108,8 @@ def run_once(
     if not given["quiet"]:
         summary_line(f"{log.name}, {method_label(config)}", metrics)
         click.echo(f"written to {folder}{' (see report.html)' if figures else ''}")
+        if not (folder / "map.kalmap").exists():
+            click.echo("without map.kalmap: the joint covariance of so large a map cannot be written out")
     return exit_code(outcome.error, outcome.interrupted), metrics
 
 

@@ -6,6 +6,7 @@ probabilities that do not exist are null (JSON) or empty (CSV).
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from kalmap.data.trajectory_files import by_stamp, trajectory_csv, tum_text
 from kalmap.records import (
     Estimate,
     EstimationError,
+    JointTooLargeError,
     KalmapError,
     Landmarks,
     LogError,
@@ -74,7 +76,8 @@ def write_result(
     The folder is made if it is missing. Raises `KalmapError` if it holds files but no kalmap manifest,
     `EstimationError` if the trajectory or the map is not finite; then nothing has been written.
 
-    While the files are being written the manifest says that the result is not complete.
+    While the files are being written the manifest says that the result is not complete. A map whose joint covariance
+    is too large to be written goes without a native map; its landmarks have their own covariances.
     """
     folder = Path(folder)
     _check_finite(estimate, trace)
@@ -90,10 +93,13 @@ def write_result(
         **_trajectories(estimate, trace),
         **_map_files(estimate, grid),
         METRICS: json_text(metrics).encode(),
-        MAP: map_bytes(estimate, provenance),
     }
+    with contextlib.suppress(JointTooLargeError):
+        contents[MAP] = map_bytes(estimate, provenance)
     check_result_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    if MAP not in contents:
+        (folder / MAP).unlink(missing_ok=True)  # of an earlier result
     unfinished = msgspec.structs.replace(manifest, completed=False, error="writing the result was cut off")
     write_manifest(folder, unfinished)
     for name in _OPTIONAL:
@@ -103,6 +109,17 @@ def write_result(
         write_atomically(folder / name, content)
     write_manifest(folder, manifest)
     return {name: folder / name for name in (*contents, MANIFEST)}
+
+
+def write_landmarks(folder: Path, estimate: Estimate, provenance: dict[str, Any]) -> None:
+    """Write a map alone, as `write_result` does: csv, GeoJSON and the native map."""
+    contents = {
+        LANDMARKS_CSV: _landmarks_csv(estimate.landmarks).encode(),
+        LANDMARKS_GEOJSON: _landmarks_geojson(estimate).encode(),
+        MAP: map_bytes(estimate, provenance),
+    }
+    for name, content in contents.items():
+        write_atomically(folder / name, content)
 
 
 def check_result_folder(folder: Path | str) -> None:

@@ -4,6 +4,7 @@ from kalmap.records.config import (
     AssociationConfig,
     AttributeConfig,
     ContourConfig,
+    DivideConfig,
     FilterConfig,
     FiniteSetConfig,
     MotionConfig,
@@ -13,7 +14,14 @@ from kalmap.records.config import (
 )
 from kalmap.records.contours import Contours, Sweeps, Trajectory
 from kalmap.records.decisions import REASONS, Frame, Managed, Reason, Why
-from kalmap.records.errors import ConfigError, EstimationError, EventError, KalmapError, LogError
+from kalmap.records.errors import (
+    ConfigError,
+    EstimationError,
+    EventError,
+    JointTooLargeError,
+    KalmapError,
+    LogError,
+)
 from kalmap.records.estimate import (
     NEW,
     SPURIOUS,
@@ -38,6 +46,7 @@ __all__ = [
     "ConfigError",
     "ContourConfig",
     "Contours",
+    "DivideConfig",
     "Estimate",
     "EstimationError",
     "Event",
@@ -46,6 +55,7 @@ __all__ = [
     "FiniteSetConfig",
     "Fix",
     "Frame",
+    "JointTooLargeError",
     "KalmapError",
     "Landmarks",
     "Log",

@@ -256,6 +256,8 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         scan is taken on the move, and surfaces reflect unevenly.
     sigma_bearing_scale, sigma_range_offset: share and m, how far the scanner's angles and ranges may be off as a whole,
         which the map estimates; 0: they are right.
+    background: closed maps are joined in a thread of low priority that the live filter does not wait for; the answer in
+        the end is the same, only the pose on the way may come by a join later.
     """
 
     method: ContourMethod | None = None
@@ -268,6 +270,26 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_askew_deg: NonNegative = 0.3
     sigma_bearing_scale: NonNegative = 0.01
     sigma_range_offset: NonNegative = 0.03
+    background: bool = True
+
+
+class DivideConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Divide and conquer (Paz, Tardos & Neira 2008): local maps of landmarks, closed when full, joined in a forest.
+
+    on: else one filter holds the whole map. close_landmarks, close_distance: a local map is closed when it holds so
+    many landmarks, or after so many metres. dense_limit: numbers in a joined state from which on joins keep sparse
+    information instead of the full covariance. gate: probability that the joint distance of a right join stays
+    inside; beyond it the join is refused and both maps stay side by side. None: what suits the association (known
+    identities are taken at their word). background: joins run in a thread of low priority and the filter does not
+    wait for them; the answer is the same.
+    """
+
+    on: bool = False
+    close_landmarks: Annotated[int, msgspec.Meta(ge=3, le=5_000)] = 30
+    close_distance: Positive = 50.0
+    dense_limit: Annotated[int, msgspec.Meta(ge=0, le=20_000)] = 1500
+    gate: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
+    background: bool = False
 
 
 class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -280,6 +302,7 @@ class RunConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     perception: PerceptionConfig = PerceptionConfig()
     finite_set: FiniteSetConfig = FiniteSetConfig()
     contour: ContourConfig = ContourConfig()
+    divide: DivideConfig = DivideConfig()
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
     tolerant: bool = False
 

@@ -45,6 +45,10 @@ class EstimationError(KalmapError):
     """
 
 
+class JointTooLargeError(EstimationError):
+    """A map so large that its joint covariance cannot be written out; everything else about it can."""
+
+
 class EventError(KalmapError):
     """An event that the estimator refuses (late, not finite, unknown id, no odometry before it).
 

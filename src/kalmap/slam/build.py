@@ -29,10 +29,12 @@ from kalmap.models.sensor import sensor_from_config
 from kalmap.perception import detector_from_config
 from kalmap.records import AssociationConfig, ConfigError, FiniteSetConfig, Log, RunConfig
 from kalmap.records.config import AssociationName, ManagementName, SetMethod
+from kalmap.slam.contours.slam import ContourSlam
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 from kalmap.slam.mixture import MixtureSlam
+from kalmap.slam.submaps.divide import DivideAndConquer
 
 SET_METHODS: tuple[str, ...] = get_args(SetMethod)
 WEIGHED_METHODS = ("rb-phd", "srckf-phd")
@@ -97,6 +99,16 @@ def check_method(config: RunConfig) -> None:
     sets = config.finite_set
     if sets.method is None or sets.method == "pmbm":
         resolve_filter(config.filter)
+    if config.contour.method is not None and sets.method is not None:
+        raise ConfigError(f"contour.method: {sets.method} maps landmarks, {config.contour.method} contours")
+    if config.divide.on and sets.method is not None:
+        raise ConfigError(
+            f"divide.on: {sets.method} keeps its map as a random finite set, which is not divided"
+        )
+    if config.divide.on and config.association.method == "mda":
+        raise ConfigError(
+            "divide.on: mda looks back over frames of maps that may be closed: take another association"
+        )
     if sets.method is not None and sets.weighting is not None and sets.method not in WEIGHED_METHODS:
         raise ConfigError(
             f"finite_set.weighting: {sets.method} weighs its particles in one way only; "
@@ -104,9 +116,13 @@ def check_method(config: RunConfig) -> None:
         )
 
 
-def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSlam | MixtureSlam:
+def slam_from_config(
+    config: RunConfig, log: Log
+) -> LandmarkSlam | FiniteSetSlam | MixtureSlam | DivideAndConquer | ContourSlam:
     """The estimator for this log. Raises ConfigError where settings contradict each other."""
     check_method(config)
+    if config.contour.method is not None:
+        return _contour_slam(config, log)
     if config.finite_set.method == "pmbm":
         return _mixture(config, log)
     if config.finite_set.method is not None:
@@ -120,6 +136,28 @@ def slam_from_config(config: RunConfig, log: Log) -> LandmarkSlam | FiniteSetSla
             extent=config.association.extent,
             detector=detector_from_config(config.perception),
         )
+    slam = _landmark_slam(config, log)
+    return DivideAndConquer(slam, config.divide) if config.divide.on else slam
+
+
+def _contour_slam(config: RunConfig, log: Log) -> ContourSlam:
+    lineariser, scope = resolve_filter(config.filter)
+    if scope == "full":
+        raise ConfigError(
+            "filter.scope: a sample's distance reads pose and sample alone: take the reduced filter"
+        )
+    return ContourSlam(
+        motion_from_config(config.motion),
+        config.sensor,
+        config.contour,
+        lineariser,
+        config.filter.coordinates,
+        start=log.start,
+        start_covariance=log.start_covariance,
+    )
+
+
+def _landmark_slam(config: RunConfig, log: Log) -> LandmarkSlam:
     lineariser, scope = resolve_filter(config.filter)
     return LandmarkSlam(
         motion_from_config(config.motion),
@@ -146,6 +184,4 @@ def _mixture(config: RunConfig, log: Log) -> MixtureSlam:
         new_rate=sets.new_rate,
     )
     alone = msgspec.structs.replace(config, association=association, finite_set=FiniteSetConfig())
-    slam = slam_from_config(alone, log)
-    assert isinstance(slam, LandmarkSlam)
-    return MixtureSlam(slam, sets.particles)
+    return MixtureSlam(_landmark_slam(alone, log), sets.particles)

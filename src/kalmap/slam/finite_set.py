@@ -57,6 +57,8 @@ class FiniteSetSlam(ParticleFrames):
     An event that cannot be used raises EventError and leaves the state as it was.
     """
 
+    numbers_per_sighting = 2  # range and bearing
+
     def __init__(
         self,
         motion: BuiltInMotion | None = None,

@@ -54,6 +54,8 @@ class LandmarkSlam(MapState):
     positive definite raises EstimationError with the step's number.
     """
 
+    numbers_per_sighting = 2  # range and bearing
+
     def __init__(
         self,
         motion: MotionModel | None = None,
@@ -198,6 +200,43 @@ class LandmarkSlam(MapState):
             use=self.use,
         )
 
+    def successor(self) -> LandmarkSlam:
+        """A fresh filter at the origin, with no map, that goes on in time and in numbers where this one is.
+
+        What is known of the vehicle's constant errors it knows too.
+        """
+        slam, robot = self.twin(), self._belief.robot
+        known = np.zeros((robot, robot))
+        known[3:, 3:] = self._belief.robot_covariance()[3:, 3:]
+        slam._belief = Belief(np.concatenate([np.zeros(3), self._belief.mean[3:robot]]), known)
+        slam.detector, slam.explain, slam.association_seconds = (
+            self.detector,
+            self.explain,
+            self.association_seconds,
+        )
+        slam._time, slam._moved, slam.step_number = self._time, self._moved, self.step_number
+        slam._frames, slam._founded = self._frames, self._founded
+        slam.frame_nis, slam.frame_used = self.frame_nis, self.frame_used
+        slam.frame_association, slam.frame_decision = self.frame_association, self.frame_decision
+        slam.frame_labels, slam.frame_sightings = self.frame_labels, self.frame_sightings
+        return slam
+
+    def confirmed_map(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Mean (3 + 2 N,) and joint covariance of pose and confirmed landmarks; their ids and sightings, (N,)."""
+        kept = self._confirmed()
+        entries = np.concatenate(
+            [np.arange(3), (self._belief.robot + 2 * kept[:, None] + np.arange(2)).ravel()]
+        )
+        self._belief.flush()
+        ids, counts = np.array(self._ids, dtype=np.int64), np.array(self._counts, dtype=np.int64)
+        return self._belief.mean[entries], self._belief.block(entries), ids[kept], counts[kept]
+
+    def _confirmed(self) -> np.ndarray:
+        """Indices of the landmarks that are not on trial."""
+        return np.array(
+            [i for i, number in enumerate(self._ids) if number not in self._on_trial], dtype=np.int64
+        )
+
     def copy(self) -> LandmarkSlam:
         """A filter of its own in the same state: O(n^2)."""
         twin = self.twin()
@@ -269,9 +308,7 @@ class LandmarkSlam(MapState):
         belief.flush()
         robot, n, stamp = belief.robot, belief.n, self._changes
         covariance = belief.robot_covariance()
-        kept = np.array(
-            [i for i, number in enumerate(self._ids) if number not in self._on_trial], dtype=np.int64
-        )
+        kept = self._confirmed()
         landmarks = Landmarks(
             ids=np.array(self._ids, dtype=np.int64)[kept],
             positions=belief.mean[robot:n].reshape(-1, 2)[kept],

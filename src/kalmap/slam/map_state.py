@@ -47,6 +47,11 @@ class MapState:
         self.merged: dict[int, int] = {}
         self.rejected: set[int] = set()
 
+    @property
+    def on_trial(self) -> set[int]:
+        """Lasting numbers of the landmarks that are not confirmed yet; a copy."""
+        return set(self._on_trial)
+
     def snapshot(self) -> MapRecord:
         """Everything, copied."""
         return MapRecord(

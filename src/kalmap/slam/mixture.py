@@ -54,6 +54,8 @@ class MixtureSlam:
     frames that are seen otherwise now. weights: of the explanations, the likeliest first.
     """
 
+    numbers_per_sighting = 2  # range and bearing
+
     def __init__(self, slam: LandmarkSlam, most: int = 10) -> None:
         if not isinstance(slam.association, Pmb):
             raise ConfigError("finite_set.method: pmbm takes the association pmb")

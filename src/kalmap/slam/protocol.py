@@ -23,6 +23,11 @@ class Slam(Protocol):
     explain: bool
 
     @property
+    def numbers_per_sighting(self) -> int:
+        """How many numbers of the NIS each sighting that is used brings."""
+        ...
+
+    @property
     def labels(self) -> bool: ...
 
     @property

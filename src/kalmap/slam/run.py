@@ -23,6 +23,8 @@ from kalmap.records import (
     Skipped,
     Trace,
 )
+from kalmap.slam.contours.rehearsal import rehearse
+from kalmap.slam.contours.slam import ContourSlam
 from kalmap.slam.finite_set import FiniteSetSlam
 from kalmap.slam.landmark import LandmarkSlam
 from kalmap.slam.map_course import CourseKeeper, MapCourse
@@ -66,9 +68,10 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 class Recorder:
-    """Rows of the trace; an event at the time of the row before replaces it."""
+    """Rows of the trace; an event at the time of the row before replaces it. numbers: of a sighting."""
 
-    def __init__(self) -> None:
+    def __init__(self, numbers: int) -> None:
+        self.numbers = numbers
         self.times: list[float] = []
         self.rows: list[tuple[np.ndarray, np.ndarray, float, int, int]] = []
         self.step_seconds: list[np.ndarray] = []
@@ -105,7 +108,7 @@ class Recorder:
             poses=np.array([row[0] for row in self.rows]).reshape(-1, 3),
             covariances=np.array([row[1] for row in self.rows]).reshape(-1, 3, 3),
             nis=np.array([row[2] for row in self.rows], dtype=float),
-            nis_dof=2 * used,
+            nis_dof=self.numbers * used,
             landmarks=np.array([row[4] for row in self.rows], dtype=np.int64),
             sightings=used,
             step_seconds=np.concatenate(self.step_seconds) if self.step_seconds else np.zeros(0),
@@ -151,6 +154,9 @@ def run(
 def warm_up(slam: Slam) -> None:
     """Load the compiled kernels through a throw-away filter like this one, so that no step pays for it."""
     twin = slam.twin()
+    if isinstance(twin, ContourSlam):
+        rehearse(twin)
+        return
     motion = np.full((2, slam.motion.control_size), 1e-3)
     values = np.array([[5.0, 0.1], [5.2, 0.1], [8.0, -0.3]])  # two of them compete
     attributes = {name: np.ones(len(values)) for name in slam.attribute_names}
@@ -166,7 +172,7 @@ class _Loop:
 
     def __init__(self, slam: Slam, log: Log, tolerant: bool, reckon: bool) -> None:
         self.slam, self.log, self.tolerant = slam, log, tolerant
-        self.recorder = Recorder()
+        self.recorder = Recorder(slam.numbers_per_sighting)
         self.first = slam.frames_taken
         self.frames = self.sightings = self.skipped_total = 0
         self.runtime = 0.0

@@ -74,7 +74,8 @@ def _filter_label(config: RunConfig) -> str:
     chosen = config.filter
     scope = f", {chosen.scope}" if chosen.scope else ""
     use = ", sequential" if chosen.use == "sequential" else ""
-    return f"{chosen.name}, {chosen.coordinates}{scope}{use}"
+    divided = ", divided" if config.divide.on else ""
+    return f"{chosen.name}, {chosen.coordinates}{scope}{use}{divided}"
 
 
 def run_view(

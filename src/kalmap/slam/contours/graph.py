@@ -40,6 +40,11 @@ class FrameGraph:
         self.relations.append(Relation(count - 2, count - 1, step.copy(), np.linalg.inv(covariance)))
         self._covariance = None
 
+    def replace(self, relations: list[Relation]) -> None:
+        """Other relations between the same frames."""
+        self.relations = relations
+        self._covariance = None
+
     def add(self, relation: Relation) -> None:
         """A loop."""
         self.relations.append(relation)

@@ -111,7 +111,7 @@ class LiveMap:
     """One local map in the making. Its frame is the vehicle's pose at its start, which it knows exactly.
 
     normals: (N, 2) of the samples, towards the free side. sightings, open: (N,) scans that corrected each, and scans in
-    a row that looked through it. length: m driven. nis, used: of the last scan.
+    a row that looked through it. length: m driven. scans: used. nis, used: of the last scan.
     """
 
     def __init__(self, rules: Rules, calibration: Calibration | None = None) -> None:
@@ -124,7 +124,7 @@ class LiveMap:
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
-        self.length = 0.0
+        self.length, self.scans = 0.0, 0
         self.nis, self.used = float("nan"), 0
 
     def _calibrate(self, calibration: Calibration) -> None:
@@ -153,6 +153,16 @@ class LiveMap:
         return self.belief.mean[:3].copy()
 
     @property
+    def pose_covariance(self) -> np.ndarray:
+        """(3, 3); a copy."""
+        return self.belief.robot_covariance()
+
+    def map(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (3 + 2 N,) and covariance of pose and samples, the scanner's calibration left out."""
+        kept = np.concatenate([np.arange(3), np.arange(kernel.SAMPLES, self.belief.n)])
+        return self.belief.mean[kept], self.belief.covariance()[np.ix_(kept, kept)]
+
+    @property
     def samples(self) -> np.ndarray:
         """(N, 2) m; a copy."""
         return self.belief.mean[kernel.SAMPLES : self.belief.n].reshape(-1, 2).copy()
@@ -167,6 +177,7 @@ class LiveMap:
     def observe(self, seen: Seen) -> None:
         """A scan: correct by the samples that it shows, found samples where it shows more, retire what is gone."""
         self.nis, self.used = float("nan"), 0
+        self.scans += 1
         if self.count and len(seen.pieces):
             self._correct(seen)
         if len(seen.pieces):
@@ -181,21 +192,21 @@ class LiveMap:
         around, and goes where clearly more of them are found. Returns the pose (3,) and what became of each sample
         (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
-        fitted, found = self._fit_from(seen, pose, prior)
+        fitted, found = self.place(seen, pose, prior)
         share = _share(found)
         if share >= TRUSTED_SHARE or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
             return fitted, found
         best = BETTER * (found >= 0).sum() * share
         for turn in TURNS:
             start = np.array([pose[0], pose[1], pose[2] + turn])
-            other, there = self._fit_from(seen, start, ASTRAY)
+            other, there = self.place(seen, start, ASTRAY)
             value = (there >= 0).sum() * _share(there)
             if value > best:
                 best, fitted, found = value, other, there
         return fitted, found
 
-    def _fit_from(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The fit that begins at one pose."""
+    def place(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The fit that begins at one pose: the pose (3,) and what became of each sample (N,). See `fit`."""
         fitted, information = pose.copy(), np.linalg.inv(prior + np.diag([1e-6, 1e-6, 1e-7]))
         found, distances = np.empty(self.count, dtype=np.int64), np.empty(self.count)
         pieces = seen.pieces

@@ -37,6 +37,13 @@ class Loops:
         self.searched = 0
         self._misfits: list[float] = []
 
+    def copy(self) -> Loops:
+        """The same maps, with a graph of their own."""
+        other = Loops()
+        other.maps, other.graph, other.open = list(self.maps), self.graph.copy(), dict(self.open)
+        other.searched, other._misfits = self.searched, list(self._misfits)
+        return other
+
     def close(self, closed: ClosedMap) -> None:
         """Take a map that has been closed, and look for its loops."""
         if self.maps:
@@ -54,6 +61,36 @@ class Loops:
         return max(
             1.0, (PRIOR_SCALE * PRIOR_COUNT + sum(self._misfits) / 3.0) / (PRIOR_COUNT + len(self._misfits))
         )
+
+    def finish(self) -> None:
+        """Ask once more for what was left open, and lay all maps on each other where they are thought to be now."""
+        for first, second in sorted(self.open):
+            found, problem = self._lay(first, second)
+            if problem is None and found is not None:
+                self._believe(first, second, found)
+            elif problem is not None:
+                self.open[first, second] = problem
+        self._relay()
+        self.graph.solve(30)
+
+    def _relay(self) -> None:
+        """Every pair that touches, laid on each other anew from where it is now thought to be."""
+        known = {
+            (relation.first, relation.second): relation for relation in self.graph.relations if relation.loop
+        }
+        relations = [relation for relation in self.graph.relations if not relation.loop]
+        for second in range(len(self.maps)):
+            for first in range(second):
+                if (first, second) in self.open or not np.isfinite(self._looseness(first, second)):
+                    continue
+                guess, covariance = self.graph.between(first, second)
+                found = overlay(self.maps[first], self.maps[second], guess)
+                if found is None or found.matched < LEAST_MATCHED or found.agreement < LEAST_AGREEMENT:
+                    continue
+                if (first, second) in known or _distance(found, guess, covariance, self.scale) < GATE:
+                    information = np.linalg.inv(self.scale * (found.covariance + FLOOR))
+                    known[first, second] = Relation(first, second, found.pose, information, loop=True)
+        self.graph.replace([*relations, *(known[pair] for pair in sorted(known))])
 
     def _seek(self, number: int) -> None:
         """Look for the map among all earlier ones, the surest places first; then ask those that were not believed."""

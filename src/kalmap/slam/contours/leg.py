@@ -1,0 +1,58 @@
+"""The part of a drive that one local map covers: where the vehicle was at each scan, in the map's own frame."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from kalmap.geometry.se2 import compose
+from kalmap.records import Scan
+
+
+class Leg(msgspec.Struct, frozen=True, eq=False):
+    """times, stamps: (K,) s, stamps NaN where the time is the stamp; poses: (K, 3); covariances: (K, 3, 3).
+
+    scans: of each row.
+    """
+
+    times: np.ndarray
+    stamps: np.ndarray
+    poses: np.ndarray
+    covariances: np.ndarray
+    scans: tuple[Scan, ...]
+
+
+class OpenLeg:
+    """A leg that is being driven."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[Scan, np.ndarray, np.ndarray]] = []
+
+    def append(self, scan: Scan, pose: np.ndarray, covariance: np.ndarray) -> None:
+        """A further scan, and where it was taken."""
+        self.rows.append((scan, pose, covariance))
+
+    def leg(self) -> Leg:
+        """What there is so far."""
+        scans = tuple(row[0] for row in self.rows)
+        return Leg(
+            times=np.array([scan.time for scan in scans], dtype=float),
+            stamps=np.array([scan.stamp for scan in scans], dtype=float),
+            poses=np.array([row[1] for row in self.rows], dtype=float).reshape(-1, 3),
+            covariances=np.array([row[2] for row in self.rows], dtype=float).reshape(-1, 3, 3),
+            scans=scans,
+        )
+
+
+def composed(
+    T_map_a: np.ndarray, covariance_a: np.ndarray, T_a_b: np.ndarray, covariance_b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """T_map_b and its covariance, a and b being independent; T_a_b (..., 3), covariance_b (..., 3, 3) may be many."""
+    pose = compose(np.broadcast_to(T_map_a, T_a_b.shape), T_a_b)
+    c, s = np.cos(T_map_a[2]), np.sin(T_map_a[2])
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    lever = np.broadcast_to(np.eye(3), covariance_b.shape).copy()
+    lever[..., 0, 2] = -(pose[..., 1] - T_map_a[1])
+    lever[..., 1, 2] = pose[..., 0] - T_map_a[0]
+    covariance = lever @ covariance_a @ np.swapaxes(lever, -1, -2) + turn @ covariance_b @ turn.T
+    return pose, 0.5 * (covariance + np.swapaxes(covariance, -1, -2))

@@ -1,0 +1,283 @@
+"""Mapping from raw scans: the sampled environment map of Sun et al. 2010, whole or divided, as a `Slam`."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+
+from kalmap.gaussian import Jacobian, Lineariser, NotPositiveError
+from kalmap.models import Increments, RangeBearing
+from kalmap.models.motion import BuiltInMotion
+from kalmap.records import (
+    ConfigError,
+    ContourConfig,
+    Estimate,
+    EstimationError,
+    Event,
+    EventError,
+    Frame,
+    JointTooLargeError,
+    Landmarks,
+    Odometry,
+    Scan,
+    SensorConfig,
+    Sightings,
+)
+from kalmap.slam.checks import check_odometry, check_time, checked_start
+from kalmap.slam.contours.leg import OpenLeg, composed
+from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
+from kalmap.slam.contours.loops import Loops
+from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
+from kalmap.slam.contours.worker import Joined, Worker, closed
+from kalmap.slam.engines import BadSampleError
+from kalmap.slam.window import Revisions
+
+
+class ContourSlam:
+    """A drive's pose and the contours around it, from odometry and raw scans; no landmarks, no identities.
+
+    motion: any built-in model without biases. sensor: the scanner's mounting, ranges and noise. settings: see
+    `ContourConfig`; its method "slasem" keeps one map, "dc-slasem" closes local maps and finds their loops. lineariser,
+    coordinates: as in `LandmarkSlam`. start, start_covariance: (3,) pose and its (3, 3).
+
+    An event that cannot be used raises EventError and leaves the state as it was.
+    """
+
+    explain = False
+    labels = False
+    frame_decision: Frame | None = None
+    attribute_names: tuple[str, ...] = ()
+    association_seconds = 0.0
+    numbers_per_sighting = 1  # a sample's signed distance
+
+    def __init__(
+        self,
+        motion: BuiltInMotion | None = None,
+        sensor: SensorConfig | None = None,
+        settings: ContourConfig | None = None,
+        lineariser: Lineariser | None = None,
+        coordinates: str = "invariant",
+        *,
+        start: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0),
+        start_covariance: np.ndarray | None = None,
+    ) -> None:
+        self.motion = Increments() if motion is None else motion
+        self.scanner = SensorConfig(sigma_range=0.02) if sensor is None else sensor
+        self.settings = ContourConfig(method="dc-slasem") if settings is None else settings
+        self.lineariser = Jacobian() if lineariser is None else lineariser
+        self.coordinates = coordinates
+        if self.motion.biases:
+            raise ConfigError("motion.biases: mapping from scans estimates no errors of the odometry")
+        if not hasattr(self.lineariser, "rule"):
+            raise ConfigError("filter.name: mapping from scans takes one of the built-in linearisers")
+        self.rules: Rules = rules_of(self.motion, self.lineariser, coordinates, self.scanner, self.settings)
+        self.sensor = RangeBearing()
+        self._start, self._start_covariance = checked_start(start, start_covariance)
+        self._live = LiveMap(self.rules)
+        self._leg = OpenLeg()
+        self._ends: list[tuple[np.ndarray, np.ndarray]] = []  # of the closed maps
+        self._worker = Worker(Joined(Loops(), []), self.settings.background)
+        self._time = float("-inf")
+        self._moved = False
+        self._way, self._turn = 0.0, 0.0  # since the last scan that was used
+        self._changes = self._frames = 0
+        self._estimate: tuple[int, Estimate] | None = None
+        self.frame_nis, self.frame_used = float("nan"), 0
+        self.frame_labels = np.zeros(0, dtype=np.int64)
+        self.frame_sightings: Sightings | None = None
+        self.frame_revisions: Revisions = {}
+
+    # --- the filter -------------------------------------------------------------------------------------------
+
+    def step(self, event: Event) -> None:
+        """Take one event: odometry predicts, a scan corrects if the vehicle has moved enough; nothing else is used."""
+        check_time(event, self._time)
+        if isinstance(event, Odometry):
+            self._predict(event)
+        elif isinstance(event, Scan):
+            self._observe(event)
+        elif isinstance(event, Sightings):
+            raise EventError("is of landmarks, and the map is of contours", time=event.time, field="values")
+        self._time = event.time
+        self._changes += 1
+
+    def _predict(self, event: Odometry) -> None:
+        check_odometry(event, self.motion)
+        before = self._live.pose
+        try:
+            self._live.predict(event)
+        except BadSampleError as problem:
+            raise EventError(str(problem), time=event.time, field="values") from problem
+        except NotPositiveError as problem:
+            raise EstimationError(f"t = {event.time:.6g} s: {problem}") from problem
+        after = self._live.pose
+        self._way += float(np.hypot(*(after[:2] - before[:2])))
+        self._turn += abs(math.remainder(after[2] - before[2], 2.0 * math.pi))
+        self._moved = True
+
+    def _observe(self, scan: Scan) -> None:
+        if not self._moved:
+            raise EventError("a scan before any odometry", time=scan.time, field="time")
+        used = not self._live.scans or self._far_enough()
+        self.frame_nis, self.frame_used = float("nan"), 0
+        if used:
+            self._use(scan)
+        self._leg.append(scan, self._live.pose, self._live.pose_covariance)
+        self.frame_sightings = Sightings(
+            scan.time, np.zeros((self.frame_used, 2)), record=scan.record, file=scan.file
+        )
+        self._frames += 1
+        if used and self._full():
+            self._close(scan)
+
+    def _use(self, scan: Scan) -> None:
+        """Correct the local map by a scan."""
+        seen = prepare(scan, self.rules, self._live.calibration.mean)
+        try:
+            self._live.observe(seen)
+        except NotPositiveError as problem:
+            raise EstimationError(f"t = {scan.time:.6g} s: {problem}") from problem
+        self._way = self._turn = 0.0
+        self.frame_nis, self.frame_used = self._live.nis, self._live.used
+
+    def _far_enough(self) -> bool:
+        settings = self.settings
+        return self._way >= settings.update_distance or self._turn >= math.radians(settings.update_angle_deg)
+
+    def _full(self) -> bool:
+        if self.settings.method == "slasem":
+            return False
+        return (
+            self._live.count >= self.settings.close_samples
+            or self._live.length >= self.settings.close_distance
+        )
+
+    def _close(self, scan: Scan) -> None:
+        """Close the local map, and start the next one where the vehicle is, with the scan at hand."""
+        live = self._live
+        self._ends.append((live.pose, live.pose_covariance))
+        self._worker.close(live, self._leg.leg())
+        self._live, self._leg = LiveMap(self.rules, live.calibration), OpenLeg()
+        self._live.observe(prepare(scan, self.rules, live.calibration.mean))
+
+    # --- what it says -----------------------------------------------------------------------------------------
+
+    def _frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the local map's frame is now, and its covariance, by the newest map that has been joined."""
+        placed = self._worker.placed
+        pose, covariance = composed(self._start, self._start_covariance, placed.pose, placed.covariance)
+        for end, spread in self._ends[max(0, placed.count - 1) :]:
+            pose, covariance = composed(pose, covariance, end, spread)
+        return pose, covariance
+
+    @property
+    def time(self) -> float:
+        """Time of the last event, s; -inf before the first."""
+        return self._time
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(3,) x m, y m, heading rad, in the newest joined frame; a copy."""
+        return composed(*self._frame(), self._live.pose, self._live.pose_covariance)[0]
+
+    @property
+    def pose_covariance(self) -> np.ndarray:
+        """(3, 3); a copy."""
+        return composed(*self._frame(), self._live.pose, self._live.pose_covariance)[1]
+
+    @property
+    def landmark_count(self) -> int:
+        """How many samples the local map holds."""
+        return self._live.count
+
+    @property
+    def frames_taken(self) -> int:
+        """How many scans came."""
+        return self._frames
+
+    def estimate(self) -> Estimate:
+        """A snapshot with everything joined that has been closed, and the local map behind it. Waits for the joins."""
+        if self._estimate is None or self._estimate[0] != self._changes:
+            self._estimate = self._changes, self._whole()
+        return self._estimate[1]
+
+    def _whole(self) -> Estimate:
+        joined = self._worker.settled()
+        loops, legs = joined.loops.copy(), list(joined.legs)
+        if self._live.scans:
+            loops.close(closed(self._live))
+            legs.append(self._leg.leg())
+        loops.finish()
+        frames, covariances = self._placed(loops)
+        trajectory = whole_trajectory(legs, frames, covariances)
+        live = self._live.pose if self._live.scans else np.zeros(3)
+        frame, spread = (
+            (frames[-1], covariances[-1]) if len(frames) else (self._start, self._start_covariance)
+        )
+        pose, covariance = composed(frame, spread, live, self._live.pose_covariance)
+        contours = whole_contours(loops.maps, frames, covariances, self.settings.spacing)
+        mount = self.rules.mount
+
+        def joint() -> tuple[np.ndarray, np.ndarray]:
+            raise JointTooLargeError("contours of several local maps have covariances of their own only")
+
+        return Estimate(
+            time=self._time, pose=pose, covariance=covariance, landmarks=_no_landmarks(), biases={}, joint=joint,
+            coordinates=self.coordinates, contours=contours, trajectory=trajectory,
+            sweeps=lambda: whole_sweeps(legs, frames, mount), counts=self._counts(loops),
+        )  # fmt: skip
+
+    def _placed(self, loops: Loops) -> tuple[np.ndarray, np.ndarray]:
+        """Frames (n, 3) of all local maps and their covariances (n, 3, 3)."""
+        count = len(loops.maps)
+        whole = loops.graph.covariance().reshape(-1, 3, loops.graph.covariance().shape[0] // 3, 3)
+        own = np.array([whole[k, :, k] for k in range(count)]).reshape(-1, 3, 3)
+        return composed(self._start, self._start_covariance, loops.graph.frames[:count], own)
+
+    def _counts(self, loops: Loops) -> dict[str, float]:
+        calibration = self._live.calibration
+        deviations = np.sqrt(np.diagonal(calibration.covariance))
+        return {
+            "local_maps": len(loops.maps),
+            "loops": sum(relation.loop for relation in loops.graph.relations),
+            "loops_open": len(loops.open),
+            "covariance_scale": loops.scale,
+            "bearing_scale": float(calibration.mean[0]),
+            "bearing_scale_sigma": float(deviations[0]),
+            "range_offset_m": float(calibration.mean[1]),
+            "range_offset_sigma_m": float(deviations[1]),
+        }
+
+    def settled_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Contours have no labels."""
+        return labels
+
+    def twin(self) -> ContourSlam:
+        """A fresh estimator with the same settings, at the origin."""
+        return ContourSlam(self.motion, self.scanner, self.settings, self.lineariser, self.coordinates)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything that is known, so that `load` goes on bit for bit. Waits for the joins."""
+        from kalmap.slam.contours.checkpoint import save_contours
+
+        save_contours(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], **_: Any) -> ContourSlam:
+        """The estimator that `save` wrote. Raises LogError if the file is not one of these or is damaged."""
+        from kalmap.slam.contours.checkpoint import load_contours
+
+        return load_contours(path)
+
+
+def _no_landmarks() -> Landmarks:
+    return Landmarks(
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 2)),
+        np.zeros((0, 2, 2)),
+        np.zeros(0, dtype=np.int64),
+        np.zeros(0),
+    )

@@ -1,0 +1,120 @@
+"""What is done with closed maps beside the live filter: their scans laid on them once more, and the loops."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+
+import msgspec
+import numpy as np
+
+from kalmap.slam.contours.closed import ClosedMap
+from kalmap.slam.contours.leg import Leg
+from kalmap.slam.contours.live import LiveMap, prepare
+from kalmap.slam.contours.loops import Loops
+
+_NICENESS = 10
+LEAST_FOUND = 10  # samples that a scan must find to be laid on a map once more
+STRAY = np.diag(
+    [0.03**2, 0.03**2, np.radians(1.0) ** 2]
+)  # how far a scan may be from where the filter had it
+
+
+class Joined(msgspec.Struct):
+    """All closed maps: their loops, and the legs of the drive that they cover."""
+
+    loops: Loops
+    legs: list[Leg]
+
+    def close(self, live: LiveMap, leg: Leg) -> None:
+        """Take a local map that has been closed, and the scans that it was made from."""
+        self.legs.append(relaid(live, leg))
+        self.loops.close(closed(live))
+
+
+class Placed(msgspec.Struct, frozen=True, eq=False):
+    """The frame of the newest map that has been joined, number count - 1: pose (3,) and covariance (3, 3)."""
+
+    count: int
+    pose: np.ndarray
+    covariance: np.ndarray
+
+
+def closed(live: LiveMap) -> ClosedMap:
+    """The map as it is left, without the scanner's calibration."""
+    mean, covariance = live.map()
+    return ClosedMap(mean, covariance, live.normals.copy(), live.sightings.copy(), live.rules.contour.spacing)
+
+
+def relaid(live: LiveMap, leg: Leg) -> Leg:
+    """Every scan of the leg laid on the finished map: where it was taken is known better now than at the time."""
+    poses = leg.poses.copy()
+    calibration = live.calibration.mean
+    for row, scan in enumerate(leg.scans):
+        pose, found = live.place(prepare(scan, live.rules, calibration), poses[row], STRAY)
+        if (found >= 0).sum() >= LEAST_FOUND:
+            poses[row] = pose
+    return msgspec.structs.replace(leg, poses=poses)
+
+
+class Worker:
+    """Closes maps at once, or in a thread of low priority that the live filter does not wait for.
+
+    placed: where the newest joined map lies, as far as the worker has come. An error is raised by the next call.
+    """
+
+    def __init__(self, joined: Joined, background: bool) -> None:
+        self._joined, self._background = joined, background
+        self._waiting: list[tuple[LiveMap, Leg]] = []
+        self._lock, self._idle = threading.Lock(), threading.Event()
+        self._idle.set()
+        self._problem: Exception | None = None
+        self.placed = _placed(joined)
+
+    def close(self, live: LiveMap, leg: Leg) -> None:
+        """Hand over a local map that is finished; it must not be changed any more."""
+        self._raise()
+        if not self._background:
+            self._joined.close(live, leg)
+            self.placed = _placed(self._joined)
+            return
+        with self._lock:
+            self._waiting.append((live, leg))
+            resting = self._idle.is_set()
+            self._idle.clear()
+        if resting:
+            threading.Thread(target=self._work, name="kalmap-loops", daemon=True).start()
+
+    def settled(self) -> Joined:
+        """All that was handed over, done."""
+        self._idle.wait()
+        self._raise()
+        return self._joined
+
+    def _raise(self) -> None:
+        if self._problem is not None:
+            raise self._problem
+
+    def _work(self) -> None:
+        with contextlib.suppress(OSError, AttributeError):  # a system without priorities has none to lower
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+        while True:
+            with self._lock:
+                if not self._waiting or self._problem is not None:
+                    self._idle.set()
+                    return
+                live, leg = self._waiting.pop(0)
+            try:
+                self._joined.close(live, leg)
+                self.placed = _placed(self._joined)
+            except Exception as problem:
+                self._problem = problem
+
+
+def _placed(joined: Joined) -> Placed:
+    graph = joined.loops.graph
+    count = len(joined.loops.maps)
+    if not count:
+        return Placed(0, np.zeros(3), np.zeros((3, 3)))
+    return Placed(count, graph.frames[-1].copy(), graph.covariance()[-3:, -3:].copy())
