@@ -19,7 +19,7 @@ SCALE = 4.0  # how much wider, in variance, the maps' errors may be than their c
 LIMITS = (0.3, 0.15, 0.1)  # m, how far apart samples and contour may lie in the rounds of association
 AGREEMENT, BESIDE = 0.75, 20  # share of the overlap that must agree afterwards, where it has so many points
 AGREES = 0.08  # m
-SETTLED = 1e-6  # m and rad, of the linearisation
+SETTLED = 1e-4  # m and rad, of the linearisation
 MOST_ROUNDS = 10
 
 
@@ -92,27 +92,34 @@ class Association:
         """Corners and what is surely placed first, then part after part, the surest first; then closer and closer."""
         self._match_corners()
         self._solve()
-        waiting, seen = parts_of(self.second), np.zeros(len(self.second.samples), dtype=bool)
+        waiting = parts_of(self.second)
         while waiting:
-            sigma = [part_at(self.stacked, self.solved, rows, SCALE)[0].sigma for rows in waiting]
-            rows = waiting.pop(int(np.argmin(sigma)))
-            place = look_for(self.first, self.second, self.stacked, self.solved, rows, SCALE)
-            if place is None:
+            at = [part_at(self.stacked, self.solved, rows, SCALE)[0] for rows in waiting]
+            sure = [rows for rows, part in zip(waiting, at, strict=True) if part.is_sure]
+            if sure:
+                self._take(np.concatenate(sure), self.solved.mean[:3])
+                waiting = [rows for rows, part in zip(waiting, at, strict=True) if not part.is_sure]
                 continue
-            seen[rows] = True
-            more = self._shared(LIMITS[0], rows, place)
-            if more:
-                self.stretches = [*self.stretches, *more]
-                self._solve()
+            rows = waiting.pop(int(np.argmin([part.sigma for part in at])))
+            place = look_for(self.first, self.second, self.stacked, self.solved, rows, SCALE)
+            if place is not None:
+                self._take(rows, place)
         for limit in LIMITS[1:]:
             self.stretches = self._shared(limit)
             self._match_corners()
             self._solve()
         for _ in range(MOST_ROUNDS):
             before = self.solved.mean
-            self._solve(1)
+            self._solve()
             if np.abs(self.solved.mean - before).max() < SETTLED:
                 break
+
+    def _take(self, rows: np.ndarray, T_first_second: np.ndarray) -> None:
+        """Use what some of the second map's samples share with the first, the map being placed so."""
+        more = self._shared(LIMITS[0], rows, T_first_second)
+        if more:
+            self.stretches = [*self.stretches, *more]
+            self._solve()
 
     def _match_corners(self) -> None:
         self.corners = match_corners(self.stacked, self.solved.mean, *self._found, SCALE)

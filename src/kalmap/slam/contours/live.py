@@ -200,8 +200,9 @@ class LiveMap:
         for turn in TURNS:
             start = np.array([pose[0], pose[1], pose[2] + turn])
             other, there = self.place(seen, start, ASTRAY)
-            value = (there >= 0).sum() * _share(there)
-            if value > best:
+            count = (there >= 0).sum()
+            value = count * _share(there)
+            if count >= LEAST_IN_VIEW and value > best:  # fewer lie on something by chance
                 best, fitted, found = value, other, there
         return fitted, found
 

@@ -36,6 +36,11 @@ class Part(msgspec.Struct, frozen=True, eq=False):
     sigma: float
     near: float
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether there is nothing to look for."""
+        return 3.0 * self.sigma < SURE
+
 
 def parts_of(second: ClosedMap) -> list[np.ndarray]:
     """The rows of a map's samples, square by square; too few for a part of their own are left out."""
@@ -71,8 +76,6 @@ def look_for(
     if part.near > 3.0 * part.sigma + REACH:
         return None
     guess = solved.mean[:3].copy()
-    if 3.0 * part.sigma < SURE:
-        return guess
     piece = _piece(second, stacked, solved, rows)
     whole = _whole(first, stacked, solved)
     half = min(WIDEST, 3.0 * part.sigma + 0.3)
