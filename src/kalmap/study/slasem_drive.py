@@ -124,7 +124,7 @@ def frames_of(each: ClosedMap) -> np.ndarray:
 
 
 def _is_mark(each: ClosedMap) -> np.ndarray:
-    return ~each.normals.any(axis=1)
+    return np.asarray(~each.normals.any(axis=1))
 
 
 def _driven(course: Course, forest: Forest[ClosedMap], local: list[np.ndarray]) -> Driven:
@@ -139,9 +139,9 @@ def _driven(course: Course, forest: Forest[ClosedMap], local: list[np.ndarray]) 
 
 
 def _placed(T_map_own: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return compose(np.broadcast_to(T_map_own, (len(points), 3)), np.column_stack([points, np.zeros(len(points))]))[
-        :, :2
-    ]
+    return compose(
+        np.broadcast_to(T_map_own, (len(points), 3)), np.column_stack([points, np.zeros(len(points))])
+    )[:, :2]
 
 
 def _moved(before: np.ndarray, now: np.ndarray, distance: float, angle_deg: float) -> bool:
