@@ -27,7 +27,8 @@ class Joined(msgspec.Struct, frozen=True, eq=False):
     """What a join came to. map: None if it was refused, and why.
 
     corners, stretches: how many were shared. distance: squared, of all constraints, and its degrees of freedom.
-    agreement: of the overlap afterwards, None where there is none.
+    agreement: of the overlap afterwards, None where there is none. pose: (3,) T_first_second; laid: both maps, each in
+    its own frame, as they were corrected.
     """
 
     map: ClosedMap | None
@@ -37,6 +38,8 @@ class Joined(msgspec.Struct, frozen=True, eq=False):
     distance: float
     freedom: int
     agreement: float | None
+    pose: np.ndarray
+    laid: tuple[ClosedMap, ClosedMap]
 
 
 def join_contours(first: ClosedMap, second: ClosedMap, noise: Noise = "curve") -> ClosedMap | None:
@@ -59,8 +62,13 @@ def joined(first: ClosedMap, second: ClosedMap, noise: Noise = "curve") -> Joine
     association.run()
     solved, corners, stretches = association.solved, association.corners, association.stretches
     limit = SCALE * float(chi2.ppf(0.999, solved.freedom)) if solved.freedom else 0.0
-    agreement = overlap_agreement(first, second, stacked, solved)
-    facts = (len(corners), len(stretches), solved.distance, solved.freedom, agreement)
+    laid = (
+        msgspec.structs.replace(first, mean=solved.mean[: stacked.start]),
+        msgspec.structs.replace(second, mean=solved.mean[stacked.start :]),
+    )
+    pose = solved.mean[:3].copy()
+    agreement = overlap_agreement(*laid, pose)
+    facts = (len(corners), len(stretches), solved.distance, solved.freedom, agreement, pose, laid)
     if solved.distance > limit:
         return Joined(None, f"joint distance {solved.distance:.0f} of {solved.freedom} numbers", *facts)
     if agreement is not None and agreement < AGREEMENT:
@@ -159,13 +167,12 @@ class Association:
             self.solved = condition(self.stacked.mean, self.stacked.covariance, self._constraints(mean), mean)
 
 
-def overlap_agreement(first: ClosedMap, second: ClosedMap, stacked: Stacked, solved: Solved) -> float | None:
+def overlap_agreement(first: ClosedMap, second: ClosedMap, pose: np.ndarray) -> float | None:
     """Of the second's contours that lie beside the first's, the share that lies on them; None if hardly any do."""
-    a = Shape.of(msgspec.structs.replace(first, mean=solved.mean[: stacked.start]))
-    b = Shape.of(msgspec.structs.replace(second, mean=solved.mean[stacked.start :]))
+    a, b = Shape.of(first), Shape.of(second)
     beside, offsets = np.full(len(b.points), -1, dtype=np.int64), np.zeros(len(b.points))
     matched, near, _ = correlate.align_points(
-        solved.mean[:3].copy(), b.points, b.point_normals, a.segments, a.normals, a.nearest, a.low, CELL,
+        pose.copy(), b.points, b.point_normals, a.segments, a.normals, a.nearest, a.low, CELL,
         np.array([AGREES, AGREES]), 1, 0.02, beside, offsets,
     )  # fmt: skip
     return matched / near if near >= BESIDE else None

@@ -188,10 +188,13 @@ def on_one_curve(stacked: Stacked, mean: np.ndarray, stretch: Stretch, noise: No
     """
     places = np.concatenate([stacked.first(mean), stacked.placed(mean)])[stretch.rows]
     value, slope = stretch.curve.distance_and_gradient(places)
+    if not (
+        np.isfinite(value).all() and np.isfinite(slope).all()
+    ):  # at a place where the curve has no direction
+        return Constraint(csr_array((0, len(mean))), np.zeros(0), np.zeros((0, 0)))
     rows = stacked.rows(mean, stretch.rows, slope)
     if noise == "zero":
         return Constraint(rows, value, np.zeros((len(value), len(value))))
-    left = null_space(stretch.curve, stretch.curve.project(places) if stretch.curve.order > 1 else places)
-    if not np.isfinite(left).all():
-        left = null_space(stretch.curve, places)
+    feet = stretch.curve.project(places) if stretch.curve.order > 1 else places
+    left = null_space(stretch.curve, np.where(np.isfinite(feet), feet, places))
     return Constraint(csr_array(left.T) @ rows, left.T @ value, stretch.roughness**2 * np.eye(left.shape[1]))
