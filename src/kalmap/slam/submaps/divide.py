@@ -205,11 +205,9 @@ class DivideAndConquer:
     def trajectory(self) -> Trajectory:
         """Where the vehicle was at every frame, as it is seen now."""
         done, passed = self.finished(), self._passed
-        count = len(passed.times)
-        poses, covariances = np.empty((count, 3)), np.empty((count, 3, 3))
-        for row, part in enumerate(passed.parts):
-            placed = done.starts[part], done.start_covariances[part]
-            poses[row], covariances[row] = composed(*placed, passed.poses[row], passed.covariances[row])
+        count, parts = len(passed.times), np.array(passed.parts, dtype=np.int64)
+        local = np.array(passed.poses).reshape(count, 3), np.array(passed.covariances).reshape(count, 3, 3)
+        poses, covariances = composed(done.starts[parts], done.start_covariances[parts], *local)
         return Trajectory(np.array(passed.times), poses, covariances)
 
     def settled_labels(self, labels: np.ndarray) -> np.ndarray:
