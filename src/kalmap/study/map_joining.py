@@ -55,6 +55,8 @@ def join_files(first: Path, second: Path, folder: Path, *, by_id: bool, figures:
     started = datetime.now(UTC)
     check_result_folder(folder)
     saved = [read_map_file(path) for path in (first, second)]
+    if first.read_bytes() == second.read_bytes():
+        raise LogError("is the same map as the first: joined, it would count twice", file=second)
     matched, report, estimate = join_saved(saved[0], saved[1], (first, second), by_id=by_id)
     folder.mkdir(parents=True, exist_ok=True)
     manifest = _manifest((first, second), by_id, started)

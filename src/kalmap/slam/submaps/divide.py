@@ -123,7 +123,13 @@ class DivideAndConquer:
         self._forest.close(closed)
 
     def _local_map(self) -> LocalMap:
-        return local_map(*self.live.confirmed_map())
+        """The open map as it would be closed. What is `extent` wide has a place of its own in every map that saw it."""
+        mean, covariance, ids, sightings = self.live.confirmed_map()
+        own = (
+            0.5 * getattr(self.live.association, "extent", 0.0) ** 2
+        )  # of each of two maps that are compared
+        covariance[np.arange(3, len(mean)), np.arange(3, len(mean))] += own
+        return local_map(mean, covariance, ids, sightings)
 
     def _keep_numbers(self) -> None:
         """What the closed map's labels have to be told later."""
