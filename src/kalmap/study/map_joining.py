@@ -66,6 +66,8 @@ def join_files(
     started = datetime.now(UTC)
     check_result_folder(folder)
     saved = (read_map_file(first), read_map_file(second))
+    if first.read_bytes() == second.read_bytes():
+        raise LogError("is the same map as the first: joined, it would count twice", file=second)
     if any(each.contour_normals is not None for each in saved):
         return _join_contours(
             saved, (first, second), folder, _manifest((first, second), by_id, started), figures
