@@ -98,7 +98,7 @@ class Drive:
                 self.live.predict(event)
             if jump is not None and jump[0] == number:
                 self.live.predict(Odometry(scan.time, jump[1][None], np.array([0.2])))
-            self.live.observe(prepare(scan, rules, self.live.calibration.mean))
+            self.live.observe(prepare(scan, rules, self.live.calibration.mean, np.zeros(3)))
             last, before = scan, truth
             error = self.live.pose - compose(inverse(self.starts[-1]), truth)
             errors.append([error[0], error[1], wrap(error[2])])
@@ -114,7 +114,7 @@ class Drive:
         self.maps.append(closed)
         self.starts.append(truth)
         self.live = LiveMap(self.rules, live.calibration)
-        self.live.observe(prepare(last, self.rules, live.calibration.mean))
+        self.live.observe(prepare(last, self.rules, live.calibration.mean, np.zeros(3)))
         if self.on_closed is not None:
             self.on_closed(closed)
 

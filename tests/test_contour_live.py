@@ -39,7 +39,7 @@ def scan_from(pose, *, circles=None, seed=None, bearings=SICK_180.bearings, moun
 
 
 def observe(live, scan):
-    live.observe(prepare(scan, live.rules, live.calibration.mean))
+    live.observe(prepare(scan, live.rules, live.calibration.mean, np.zeros(3)))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -22,6 +22,7 @@ class LaserClass(msgspec.Struct, frozen=True):
     sigma_range: float
     sigma_range_ratio: float
     sigma_bearing_deg: float
+    beam_time: float = 0.0
 
 
 SICK = LaserClass(
@@ -35,7 +36,13 @@ SICK = LaserClass(
 """Time of flight, 180 degrees (LMS 200: 80 m, statistical error 5 mm up to 8 m, resolution 1 cm)."""
 
 URG = LaserClass(
-    "URG-like", min_range=0.06, max_range=5.6, sigma_range=0.02, sigma_range_ratio=0.01, sigma_bearing_deg=0.2
+    "URG-like",
+    min_range=0.06,
+    max_range=5.6,
+    sigma_range=0.02,
+    sigma_range_ratio=0.01,
+    sigma_bearing_deg=0.2,
+    beam_time=0.1 / 1024.0,
 )
 """Phase shift, 240 degrees (URG-04LX: rated 4 m, accuracy 1 cm or 1 %; returns up to 5.6 m)."""
 
@@ -76,6 +83,7 @@ def laser_defaults(drive: Drive, stated: float = np.inf) -> RunConfig:
             sigma_range=kind.sigma_range,
             sigma_range_ratio=kind.sigma_range_ratio,
             sigma_bearing_deg=kind.sigma_bearing_deg,
+            beam_time=kind.beam_time,
             min_range=kind.min_range,
             max_range=min(kind.max_range, stated, drive.reach),
             field_of_view_deg=min(360.0, max(1.0, 2.0 * float(np.rad2deg(widest)))),

@@ -85,6 +85,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_range: m; sigma_range_ratio: share of the range; the variances add. sigma_bearing_deg: deg.
     min_range, max_range: m, what is nearer or farther is not seen. field_of_view_deg: the full angle, centred ahead
     of the sensor.
+    beam_time: s from one beam of a scan to the next, in the order of the scan; 0: the sweep takes no time.
     outlier_gate: probability; a sighting whose innovation lies outside it has its noise inflated until it lies
         on it, so that a gross error does little. None: every sighting is taken at its word.
     """
@@ -98,6 +99,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     min_range: NonNegative = 0.0
     max_range: Positive = 30.0
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, le=360)] = 180.0
+    beam_time: float = 0.0
     outlier_gate: Probability | None = None
 
 

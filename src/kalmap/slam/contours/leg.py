@@ -12,13 +12,14 @@ from kalmap.records import Scan
 class Leg(msgspec.Struct, frozen=True, eq=False):
     """times, stamps: (K,) s, stamps NaN where the time is the stamp; poses: (K, 3); covariances: (K, 3, 3).
 
-    scans: of each row.
+    twists: (K, 3) m/s, m/s, rad/s of the vehicle. scans: of each row.
     """
 
     times: np.ndarray
     stamps: np.ndarray
     poses: np.ndarray
     covariances: np.ndarray
+    twists: np.ndarray
     scans: tuple[Scan, ...]
 
 
@@ -26,11 +27,11 @@ class OpenLeg:
     """A leg that is being driven."""
 
     def __init__(self) -> None:
-        self.rows: list[tuple[Scan, np.ndarray, np.ndarray]] = []
+        self.rows: list[tuple[Scan, np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def append(self, scan: Scan, pose: np.ndarray, covariance: np.ndarray) -> None:
-        """A further scan, and where it was taken."""
-        self.rows.append((scan, pose, covariance))
+    def append(self, scan: Scan, pose: np.ndarray, covariance: np.ndarray, twist: np.ndarray) -> None:
+        """A further scan, where it was taken and how fast the vehicle went."""
+        self.rows.append((scan, pose, covariance, twist))
 
     def leg(self) -> Leg:
         """What there is so far."""
@@ -40,6 +41,7 @@ class OpenLeg:
             stamps=np.array([scan.stamp for scan in scans], dtype=float),
             poses=np.array([row[1] for row in self.rows], dtype=float).reshape(-1, 3),
             covariances=np.array([row[2] for row in self.rows], dtype=float).reshape(-1, 3, 3),
+            twists=np.array([row[3] for row in self.rows], dtype=float).reshape(-1, 3),
             scans=scans,
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from kalmap.gaussian import Belief, Lineariser, NotPositiveError
 from kalmap.geometry.angles import wrap
-from kalmap.geometry.se2 import rotate
+from kalmap.geometry.se2 import compose, inverse, rotate
 from kalmap.kernels import contour as kernel
 from kalmap.kernels.implicit import distance_rows
 from kalmap.kernels.layout import BIAS_COUNT, OK
@@ -26,7 +26,11 @@ FIRST_LIMIT, LAST_LIMIT = (
     0.15,
 )  # m, how far from a curve a sample may lie in the first round and in the last
 OPEN_SCANS = 3  # scans in a row that look through a sample before it is retired
-TRUSTED_SHARE = 0.6  # of the samples in view that a scan finds, below which it is tried elsewhere
+TRUSTED_SHARE = 0.5  # of what scans find as a rule of the samples in view, below which one is tried elsewhere
+FAR = 25.0  # squared distance from the odometry's place beyond which a scan's place is doubted
+NEAR_LIMIT = 0.08  # m, how far from a curve a sample may lie where the odometry is believed
+SMALL = np.diag([1e-6, 1e-6, 1e-7])  # what no odometry is better than
+FORGET = 0.05  # a scan's part in what is the rule
 LEAST_IN_VIEW = 10  # samples
 BETTER = 1.5  # how many times better another place must be
 SURE_SHARE, SURE_FOUND = (
@@ -91,25 +95,26 @@ def rules_of(
 
 
 class Seen(msgspec.Struct, frozen=True):
-    """A scan, cut and ready to be laid beside samples: the pieces, and what the kernels read of the beams."""
+    """A scan, cut and ready to be laid beside samples: the pieces, and what the kernels read of the beams.
+
+    sigma: (K,) m, of distances from each piece: its roughness, and its curve's uncertainty at its ends.
+    """
 
     scan: Scan
     pieces: Pieces
     bearings: np.ndarray
     ranges: np.ndarray
     piece_of_beam: np.ndarray
+    sigma: np.ndarray
 
 
-def prepare(scan: Scan, rules: Rules, calibration: np.ndarray) -> Seen:
+def prepare(scan: Scan, rules: Rules, calibration: np.ndarray, twist: np.ndarray) -> Seen:
     """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep.
 
-    calibration: bearing scale and range offset m, which are taken out, and more.
+    calibration: bearing scale and range offset m, which are taken out, and more. twist: (3,) m/s, m/s, rad/s of the
+    vehicle, by which the beams were taken from different places.
     """
-    turned, lengthened = (
-        np.asarray(scan.bearings) * (1.0 + calibration[0]),
-        np.asarray(scan.ranges) + calibration[1],
-    )
-    scan = msgspec.structs.replace(scan, bearings=turned, ranges=lengthened)
+    scan = undistorted(calibrated(scan, calibration), twist, rules.mount, rules.sensor.beam_time)
     pieces = cut_scan(scan, rules.sensor, rules.cut)
     piece_of_beam = np.full(len(scan.bearings), -1, dtype=np.int64)
     piece_of_beam[pieces.beam] = pieces.piece
@@ -117,14 +122,51 @@ def prepare(scan: Scan, rules: Rules, calibration: np.ndarray) -> Seen:
     ranges = np.asarray(scan.ranges, dtype=float)
     ranges = np.where(ranges > rules.sensor.min_range, ranges, np.inf)  # NaN and zero too: nothing came back
     order = np.argsort(bearings, kind="stable")
-    return Seen(scan, pieces, bearings[order], ranges[order], piece_of_beam[order])
+    return Seen(scan, pieces, bearings[order], ranges[order], piece_of_beam[order], _deviations(pieces))
+
+
+def calibrated(scan: Scan, calibration: np.ndarray) -> Scan:
+    """The scan as it is without the scanner's bearing scale and range offset (2,)."""
+    bearings = np.asarray(scan.bearings, dtype=float) * (1.0 + calibration[0])
+    return msgspec.structs.replace(scan, bearings=bearings, ranges=np.asarray(scan.ranges) + calibration[1])
+
+
+def undistorted(scan: Scan, twist: np.ndarray, mount: np.ndarray, beam_time: float) -> Scan:
+    """The scan as it would be if all its beams had been taken where the middle one was.
+
+    beam_time: s from each beam to the next, in the order of the scan. Over one sweep the vehicle's speed is constant.
+    """
+    if not beam_time or not twist.any():
+        return scan
+    after = beam_time * (np.arange(len(scan.ranges)) - 0.5 * (len(scan.ranges) - 1))
+    way = after[:, None] * twist
+    there = compose(way, np.broadcast_to(mount, way.shape))
+    back = compose(inverse(mount), there)
+    heading = back[:, 2] + scan.bearings
+    finite = np.where(np.isfinite(scan.ranges), scan.ranges, 1.0)
+    x, y = back[:, 0] + finite * np.cos(heading), back[:, 1] + finite * np.sin(heading)
+    bearings = np.where(np.isfinite(scan.ranges), np.arctan2(y, x), heading)
+    return msgspec.structs.replace(
+        scan, bearings=bearings, ranges=np.where(np.isfinite(scan.ranges), np.hypot(x, y), scan.ranges)
+    )
+
+
+def _deviations(pieces: Pieces) -> np.ndarray:
+    """(K,) m, see `Seen`."""
+    variances = pieces.sigma**2
+    rows = np.empty((2, 10))
+    for k, (ox, oy) in enumerate(pieces.origin):
+        distance_rows(pieces.coef[k], ox, oy, pieces.scale[k], pieces.ends[k], rows)
+        variances[k] += max(rows[0] @ pieces.cov[k] @ rows[0], rows[1] @ pieces.cov[k] @ rows[1])
+    return np.asarray(np.sqrt(variances))
 
 
 class LiveMap:
     """One local map in the making. Its frame is the vehicle's pose at its start, which it knows exactly.
 
     normals: (N, 2) of the samples, towards the free side. sightings, open: (N,) scans that corrected each, and scans in
-    a row that looked through it. length: m driven. scans: used. nis, used: of the last scan.
+    a row that looked through it. length: m driven. scans: used. usual: share of the samples in
+    view that scans find as a rule. nis, used: of the last scan.
     """
 
     def __init__(self, rules: Rules, calibration: Calibration | None = None) -> None:
@@ -136,7 +178,7 @@ class LiveMap:
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
-        self.length, self.scans = 0.0, 0
+        self.length, self.scans, self.usual = 0.0, 0, 1.0
         self.nis, self.used = float("nan"), 0
 
     @property
@@ -199,14 +241,22 @@ class LiveMap:
         (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
         fitted, found = self.place(seen, pose, prior)
+        shift = fitted - pose
+        shift[2] = wrap(shift[2])
+        if (
+            shift @ np.linalg.solve(prior + SMALL, shift) > FAR
+        ):  # the odometry lies, or the scan is on the wrong samples
+            near, there = self.place(seen, pose, prior, NEAR_LIMIT)
+            if BETTER * _value(there) >= _value(found):
+                fitted, found = near, there
         share = _share(found)
-        if share >= TRUSTED_SHARE or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
+        if share >= TRUSTED_SHARE * self.usual or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
             return fitted, found
-        best, before, first = BETTER * (found >= 0).sum() * share, share, fitted
+        best, before, first = BETTER * _value(found), share, fitted
         for turn in TURNS:
             start = np.array([pose[0], pose[1], pose[2] + turn])
             other, there = self.place(seen, start, ASTRAY)
-            value, share = (there >= 0).sum() * _share(there), _share(there)
+            value, share = _value(there), _share(there)
             if value <= best or share < SURE_SHARE or (there >= 0).sum() < SURE_FOUND:
                 continue
             move = other - first
@@ -215,15 +265,20 @@ class LiveMap:
                 best, fitted, found = value, other, there
         return fitted, found
 
-    def place(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place(
+        self, seen: Seen, pose: np.ndarray, prior: np.ndarray, limit: float = LAST_LIMIT
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The fit that begins at one pose: the pose (3,) and what became of each sample (N,). See `fit`."""
-        fitted, information = pose.copy(), np.linalg.inv(prior + np.diag([1e-6, 1e-6, 1e-7]))
+        fitted, information = pose.copy(), np.linalg.inv(prior + SMALL)
         found, distances = np.empty(self.count, dtype=np.int64), np.empty(self.count)
         pieces = seen.pieces
+        reach = float(np.percentile(np.hypot(*pieces.points.T), 90)) if len(pieces.points) else 0.0
+        stray = 3.0 * math.sqrt(max(prior[0, 0], prior[1, 1]) + prior[2, 2] * reach**2)
+        first = min(FIRST_LIMIT, limit + (stray if limit == LAST_LIMIT else 0.0))
         kernel.fit_pose(
             fitted, information, self.samples, self.normals, self.rules.mount, seen.bearings, seen.ranges,
-            seen.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, pieces.sigma, self.rules.sensor.max_range,
-            np.array([FIRST_LIMIT, LAST_LIMIT]), ROUNDS, found, distances, np.empty((self.count, 2)),
+            seen.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, seen.sigma, self.rules.sensor.max_range,
+            np.array([first, limit]), ROUNDS, found, distances, np.empty((self.count, 2)),
         )  # fmt: skip
         fitted[2] = wrap(fitted[2])
         return fitted, found
@@ -233,6 +288,7 @@ class LiveMap:
         belief, pieces = self.belief, seen.pieces
         fitted, found = self.fit(seen, belief.mean[:3], self._since.robot_covariance()[:3, :3])
         self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
+        self.usual += FORGET * (_share(found) - self.usual)
         rows = np.flatnonzero(found >= 0)
         if not len(rows):
             return
@@ -338,6 +394,11 @@ def _begun(pose: np.ndarray, calibration: Calibration) -> Belief:
     pack(whole, kernel.SAMPLES, belief.packed)
     belief.n = kernel.SAMPLES
     return belief
+
+
+def _value(found: np.ndarray) -> float:
+    """How much speaks for a place: the samples found there, the less the more are missed."""
+    return float((found >= 0).sum()) * _share(found)
 
 
 def _share(found: np.ndarray) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kalmap.gaussian import Jacobian, Lineariser, NotPositiveError
+from kalmap.geometry.se2 import compose
 from kalmap.models import Increments, RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.records import (
@@ -83,6 +84,7 @@ class ContourSlam:
         self._time = float("-inf")
         self._moved = False
         self._way, self._turn = 0.0, 0.0  # since the last scan that was used
+        self._twist = np.zeros(3)  # m/s, m/s, rad/s of the vehicle, by the last odometry
         self._changes = self._frames = 0
         self._estimate: tuple[int, Estimate] | None = None
         self.frame_nis, self.frame_used = float("nan"), 0
@@ -117,6 +119,18 @@ class ContourSlam:
         self._way += float(np.hypot(*(after[:2] - before[:2])))
         self._turn += abs(math.remainder(after[2] - before[2], 2.0 * math.pi))
         self._moved = True
+        self._twist = self._speed(event)
+
+    def _speed(self, event: Odometry) -> np.ndarray:
+        """(3,) of the vehicle over an event; a stamp that comes early makes it no faster than a sweep allows."""
+        took = float(event.durations.sum())
+        if not len(event.durations) or took <= 0.0:
+            return np.zeros(3)
+        way = np.zeros(3)
+        for values, duration in zip(event.values, event.durations, strict=True):
+            way = compose(way, self.motion.increment(values, np.zeros(0), float(duration)))
+        sweep = 2.0 * math.pi / math.radians(0.25) * self.scanner.beam_time
+        return np.asarray(way / max(took, sweep))
 
     def _observe(self, scan: Scan) -> None:
         if not self._moved:
@@ -125,7 +139,7 @@ class ContourSlam:
         self.frame_nis, self.frame_used = float("nan"), 0
         if used:
             self._use(scan)
-        self._leg.append(scan, self._live.pose, self._live.pose_covariance)
+        self._leg.append(scan, self._live.pose, self._live.pose_covariance, self._twist)
         self.frame_sightings = Sightings(
             scan.time, np.zeros((self.frame_used, 2)), record=scan.record, file=scan.file
         )
@@ -135,7 +149,7 @@ class ContourSlam:
 
     def _use(self, scan: Scan) -> None:
         """Correct the local map by a scan."""
-        seen = prepare(scan, self.rules, self._live.calibration.mean)
+        seen = prepare(scan, self.rules, self._live.calibration.mean, self._twist)
         try:
             self._live.observe(seen)
         except NotPositiveError as problem:
@@ -161,7 +175,7 @@ class ContourSlam:
         self._ends.append((live.pose, live.pose_covariance))
         self._worker.close(live, self._leg.leg())
         self._live, self._leg = LiveMap(self.rules, live.calibration), OpenLeg()
-        self._live.observe(prepare(scan, self.rules, live.calibration.mean))
+        self._live.observe(prepare(scan, self.rules, live.calibration.mean, self._twist))
 
     # --- what it says -----------------------------------------------------------------------------------------
 
@@ -219,8 +233,7 @@ class ContourSlam:
         )
         pose, covariance = composed(frame, spread, live, self._live.pose_covariance)
         contours = whole_contours(loops.maps, frames, covariances, self.settings.spacing)
-        mount, calibration = self.rules.mount, self._live.calibration.mean
-        step = self.settings.update_distance, math.radians(self.settings.update_angle_deg)
+        rules, calibration = self.rules, self._live.calibration.mean
 
         def joint() -> tuple[np.ndarray, np.ndarray]:
             raise JointTooLargeError("contours of several local maps have covariances of their own only")
@@ -228,7 +241,7 @@ class ContourSlam:
         return Estimate(
             time=self._time, pose=pose, covariance=covariance, landmarks=_no_landmarks(), biases={}, joint=joint,
             coordinates=self.coordinates, contours=contours, trajectory=trajectory,
-            sweeps=lambda: whole_sweeps(legs, frames, mount, calibration, step), counts=self._counts(loops),
+            sweeps=lambda: whole_sweeps(legs, frames, rules, calibration), counts=self._counts(loops),
         )  # fmt: skip
 
     def _placed(self, loops: Loops) -> tuple[np.ndarray, np.ndarray]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -12,9 +12,10 @@ from scipy.spatial import cKDTree
 
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
-from kalmap.records import Contours, Scan, Sweeps, Trajectory
+from kalmap.records import Contours, Sweeps, Trajectory
 from kalmap.slam.contours.closed import ENOUGH, ClosedMap, neighbours
 from kalmap.slam.contours.leg import Leg, composed
+from kalmap.slam.contours.live import Rules, calibrated, undistorted
 
 CROWDED = (
     0.6  # spacings: a sample this near to one of another map, on the same side of a contour, is left out
@@ -113,23 +114,21 @@ def whole_trajectory(legs: Sequence[Leg], frames: np.ndarray, covariances: np.nd
     )
 
 
-def whole_sweeps(
-    legs: Sequence[Leg],
-    frames: np.ndarray,
-    mount: np.ndarray,
-    calibration: np.ndarray,
-    step: tuple[float, float],
-) -> Sweeps:
-    """The scans that were taken some way apart, where the scanner stood, its calibration taken out.
+def whole_sweeps(legs: Sequence[Leg], frames: np.ndarray, rules: Rules, calibration: np.ndarray) -> Sweeps:
+    """The scans that were taken some way apart, where the scanner stood, without what distorts them.
 
-    mount: (3,) the scanner on the vehicle. calibration: (2,) bearing scale and range offset m. step: m and rad, a scan
-    is left out if the vehicle has moved less since the one before.
+    calibration: (2,) bearing scale and range offset m. A scan is left out if the vehicle has moved less since the one
+    before than makes the filter use it.
     """
+    mount, beam_time = rules.mount, rules.sensor.beam_time
+    step = rules.contour.update_distance, math.radians(rules.contour.update_angle_deg)
     poses, scans = [np.zeros((0, 3))], []
     for leg, frame in zip(legs, frames, strict=True):
         kept = _apart(leg.poses, step)
         poses.append(compose(np.broadcast_to(frame, (len(kept), 3)), leg.poses[kept]))
-        scans += [_calibrated(leg.scans[row], calibration) for row in kept]
+        for row in kept:
+            scan = calibrated(leg.scans[row], calibration)
+            scans.append(undistorted(scan, leg.twists[row], mount, beam_time))
     at = np.concatenate(poses)
     return Sweeps(compose(at, np.broadcast_to(mount, at.shape)), tuple(scans))
 
@@ -145,8 +144,3 @@ def _apart(poses: np.ndarray, step: tuple[float, float]) -> np.ndarray:
                 continue
         kept.append(row)
     return np.array(kept, dtype=np.int64)
-
-
-def _calibrated(scan: Scan, calibration: np.ndarray) -> Scan:
-    bearings, ranges = scan.bearings * (1.0 + calibration[0]), scan.ranges + calibration[1]
-    return msgspec.structs.replace(scan, bearings=bearings, ranges=ranges)

@@ -52,7 +52,7 @@ def relaid(live: LiveMap, leg: Leg) -> Leg:
     poses = leg.poses.copy()
     calibration = live.calibration.mean
     for row, scan in enumerate(leg.scans):
-        pose, found = live.place(prepare(scan, live.rules, calibration), poses[row], STRAY)
+        pose, found = live.place(prepare(scan, live.rules, calibration, leg.twists[row]), poses[row], STRAY)
         if (found >= 0).sum() >= LEAST_FOUND:
             poses[row] = pose
     return msgspec.structs.replace(leg, poses=poses)
