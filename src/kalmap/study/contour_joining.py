@@ -161,7 +161,7 @@ def _estimate_joint(second: SavedMap, joined: ClosedMap) -> Estimate:
 def _estimate_laid(second: SavedMap, first: ClosedMap, other: ClosedMap, met: Met) -> Estimate:
     """The second map as it is, moved onto the first: without joint covariances nothing more can be corrected."""
     frames, spreads = np.stack([np.zeros(3), met.pose]), np.stack([np.zeros((3, 3)), met.covariance])
-    contours = whole_contours([first, other], frames, spreads, first.spacing)
+    contours = whole_contours([first, other], frames, spreads, first.spacing, 1)
     pose, covariance = composed(met.pose, met.covariance, other.end, other.end_covariance)
     return _estimate(second, pose, covariance, contours, None)
 

@@ -77,7 +77,7 @@ def drive_floor(log: Log, config: RunConfig, divide: bool, most_scans: int | Non
             live.predict(event)
         elif isinstance(event, Scan):
             if used is None or _moved(used, live.pose, settings.update_distance, settings.update_angle_deg):
-                live.observe(prepare(event, rules, live.calibration.mean))
+                live.observe(prepare(event, rules, live.calibration.mean, np.zeros(3)))
                 used = live.pose
             ended = time.process_time()
             row = (event.time, part, live.pose, compose(base, live.pose), spent + ended - started, live.count)
@@ -88,7 +88,7 @@ def drive_floor(log: Log, config: RunConfig, divide: bool, most_scans: int | Non
                 local.append(_placed(before, live.samples))
                 before = compose(before, live.pose)
                 live = LiveMap(rules, live.calibration)
-                live.observe(prepare(event, rules, live.calibration.mean))
+                live.observe(prepare(event, rules, live.calibration.mean, np.zeros(3)))
                 used = live.pose
             course.rows.append((*row, time.process_time() - started))
             if most_scans is not None and len(course.rows) >= most_scans:
