@@ -33,6 +33,7 @@ REVISIT, ON_THE_WAY = (
 )  # m: two scans so near each other, so far apart on the way, are a place seen again
 CURVE_POINTS = 2_000
 _WARM_SCANS, _WARM_SEED = 160, 9_001
+_JOIN = 1e-3  # s of a scan from which on a map was closed or joined there
 
 
 class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -169,12 +170,15 @@ def amortised(live_seconds: np.ndarray, join_seconds: np.ndarray) -> np.ndarray:
 
     The last joins have nothing after them and are spread over what came before.
     """
-    spread = np.asarray(live_seconds, dtype=float).copy()
-    at = [*np.flatnonzero(join_seconds > 0.05 * np.max(join_seconds, initial=0.0)).tolist()]
+    is_join = join_seconds > _JOIN
+    spread = np.where(is_join, live_seconds, live_seconds + join_seconds)
+    at = np.flatnonzero(is_join).tolist()
+    if not at:
+        return np.asarray(spread)
     for start, end in zip(at, [*at[1:], len(spread)], strict=True):
         begin = start + 1 if end - start > 1 else (at[-2] if len(at) > 1 else 0)
         spread[begin:end] += join_seconds[start] / max(1, end - begin)
-    return spread
+    return np.asarray(spread)
 
 
 def _errors(prefix: str, poses: np.ndarray, true: np.ndarray) -> dict[str, float]:

@@ -76,7 +76,7 @@ def _about() -> list[str]:
         "The paper's logs were never published: these are simulated floors of the same kind and length, with the same "
         "scanner. Its robot was far slower, and its computer and program are of 2010: its times can be compared in "
         "their ratio only, and that depends on how much of a step does not grow with the map. Cutting a scan, "
-        "fitting them and finding the samples is most of a step here, in one map or in local ones.",
+        "fitting its pieces and finding the samples is most of a step here, in one map or in local ones.",
         "slasem keeps one map; dc-slasem closes a local map at 300 samples and joins them as a binary counter carries. "
         "Both are EKFs in additive coordinates, as published, update every 10 cm or 10 degrees, and see the same logs. "
         "Signed distances in joins leave the shared curve open instead of taking it as exact (see `on_one_curve`).",
@@ -132,8 +132,8 @@ def slasem_figures(plan: Plan, records: Sequence[FloorRecord]) -> dict[str, tupl
             )
             figures[f"times-{suffix}"] = (
                 step_times_figure([_times(record) for record in pair], 1.0 / world.rate),
-                f"{seed}: time per step, all time so far, and time per step with the joins spread over the steps up to "
-                f"the next: the paper's figure {5 + 2 * min(number, 1)}.",
+                f"{seed}: the longest step of each 150th of the drive, all time so far, and the longest steps with the "
+                f"joins spread over the steps up to the next: the paper's figure {5 + 2 * min(number, 1)}.",
             )
     return figures
 

@@ -27,8 +27,8 @@ class Joined(msgspec.Struct, frozen=True, eq=False):
     """What a join came to. map: None if it was refused, and why.
 
     corners, stretches: how many were shared. distance: squared, of all constraints, and its degrees of freedom.
-    agreement: of the overlap afterwards, None where there is none. pose: (3,) T_first_second; laid: both maps, each in
-    its own frame, as they were corrected.
+    agreement: of the overlap afterwards, None where there is none. pose, pose_covariance: (3,) T_first_second
+    and its (3, 3). laid: both maps, each in its own frame, as they were corrected.
     """
 
     map: ClosedMap | None
@@ -39,6 +39,7 @@ class Joined(msgspec.Struct, frozen=True, eq=False):
     freedom: int
     agreement: float | None
     pose: np.ndarray
+    pose_covariance: np.ndarray
     laid: tuple[ClosedMap, ClosedMap]
 
 
@@ -67,8 +68,9 @@ def joined(first: ClosedMap, second: ClosedMap, noise: Noise = "curve") -> Joine
         msgspec.structs.replace(second, mean=solved.mean[stacked.start :]),
     )
     pose = solved.mean[:3].copy()
+    spread = stacked.covariance[:3, :3] - solved.gain[:, :3].T @ solved.gain[:, :3]
     agreement = overlap_agreement(*laid, pose)
-    facts = (len(corners), len(stretches), solved.distance, solved.freedom, agreement, pose, laid)
+    facts = (len(corners), len(stretches), solved.distance, solved.freedom, agreement, pose, spread, laid)
     if solved.distance > limit:
         return Joined(None, f"joint distance {solved.distance:.0f} of {solved.freedom} numbers", *facts)
     if agreement is not None and agreement < AGREEMENT:

@@ -29,7 +29,8 @@ AGREEMENT = 0.85  # share of what lies side by side that must lie on each other
 LOOSE_AGREEMENT = 0.5  # the same before either map may bend
 VAGUE = (0.5**2, 0.5**2, 0.1**2)  # m^2, m^2, rad^2: what is known of a place before the maps are fitted
 UNIQUE = 0.8  # the next best place must be below this share of the best
-HELD = 0.15  # m, standard deviation of the place in its loosest direction: a corridor alone does not hold it
+MOST_PLACES = 4  # that are tried in full
+HELD = 0.25  # m, standard deviation of the place in its loosest direction: a corridor alone does not hold it
 STRIP = 0.9  # m in front of a contour that was seen: nothing else stands there
 CLEAR = 0.15  # m: what is nearer to a contour belongs to it
 THROUGH, THROUGH_SHARE = (
@@ -69,22 +70,45 @@ def meet(first: ClosedMap, second: ClosedMap, joint: bool = True) -> Met:
     joint: whether both have their joint covariances; then a map may bend to fit the other, as drives bend their maps.
     Raises NoMatchError, with the reason, if there is no place that is long, clear and unique enough to be sure.
     """
-    best = find_place(first, second, *((LOOSE_AGREEMENT, BENT) if joint else (AGREEMENT, APART)))
-    laid = best.overlay
-    if not joint:
-        _believe(laid.agreement, best.through, laid.matched, laid.covariance)
-        return Met(laid.pose, laid.covariance, None, laid.matched, laid.agreement, best.through)
-    result = joined(_ending_at(first, laid.pose), second)
-    if result.map is None or result.agreement is None:
+    places = find_places(first, second, *((LOOSE_AGREEMENT, BENT) if joint else (AGREEMENT, APART)))
+    found: list[Met] = []
+    problem: NoMatchError | None = None
+    for place in places:
+        try:
+            found.append(_joined_at(first, second, place) if joint else _laid_at(place))
+        except NoMatchError as refusal:
+            problem = problem or refusal
+    if not found:
+        raise problem or NoMatchError("the maps do not seem to overlap")
+    found.sort(key=lambda met: -met.matched * met.agreement)
+    best = found[0]
+    if len(found) > 1 and found[1].matched * found[1].agreement > UNIQUE * best.matched * best.agreement:
         raise NoMatchError(
-            f"the best place of the maps on each other is not believed: {result.why or 'nothing is shared'}"
+            f"the maps fit in more than one way: {best.matched:.1f} m of contour at the best place, "
+            f"{found[1].matched:.1f} m at another"
         )
+    return best
+
+
+def _laid_at(place: Place) -> Met:
+    """The second map moved as a whole. Raises NoMatchError where that is not believed."""
+    laid = place.overlay
+    _believe(laid.agreement, place.through, laid.matched, laid.covariance)
+    return Met(laid.pose, laid.covariance, None, laid.matched, laid.agreement, place.through)
+
+
+def _joined_at(first: ClosedMap, second: ClosedMap, place: Place) -> Met:
+    """Both maps bent to fit each other. Raises NoMatchError where they do not, or that is not believed."""
+    result = joined(_ending_at(first, place.overlay.pose), second)
+    if result.map is None or result.agreement is None:
+        reason = result.why or "nothing is shared"
+        raise NoMatchError(f"the best place of the maps on each other is not believed: {reason}")
     a, b = result.laid
     through = _through(a.shape, b.shape, result.pose) + _through(b.shape, a.shape, inverse(result.pose))
     final = overlay(a, b, result.pose)
     matched = 0.0 if final is None else final.matched
-    _believe(result.agreement, through, matched, laid.covariance)
-    return Met(result.pose, laid.covariance, result.map, matched, result.agreement, through)
+    _believe(result.agreement, through, matched, result.pose_covariance)
+    return Met(result.pose, result.pose_covariance, result.map, matched, result.agreement, through)
 
 
 def _ending_at(first: ClosedMap, pose: np.ndarray) -> ClosedMap:
@@ -95,8 +119,8 @@ def _ending_at(first: ClosedMap, pose: np.ndarray) -> ClosedMap:
     return msgspec.structs.replace(first, mean=np.concatenate([pose, first.mean[3:]]), covariance=covariance)
 
 
-def find_place(first: ClosedMap, second: ClosedMap, agreement: float, apart: float) -> Place:
-    """The best of all places, where it is unique: none as good is more than `apart` m away. Raises NoMatchError."""
+def find_places(first: ClosedMap, second: ClosedMap, agreement: float, apart: float) -> list[Place]:
+    """The best of all places, and those `apart` m and more away that are nearly as good. Raises NoMatchError."""
     for each, which in ((first, "first"), (second, "second")):
         if not len(each.shape.points):
             raise NoMatchError(
@@ -111,14 +135,14 @@ def find_place(first: ClosedMap, second: ClosedMap, agreement: float, apart: flo
             f"the maps do not seem to overlap: at best {most:.1f} m of contour lie on each other, "
             f"{MATCHED:g} m are needed"
         )
-    best = found[0]
-    for other in found[1:]:
-        if _elsewhere(best.overlay.pose, other.overlay.pose, apart) and other.worth > UNIQUE * best.worth:
-            raise NoMatchError(
-                f"the maps fit in more than one way: {best.overlay.matched:.1f} m of contour at the best place, "
-                f"{other.overlay.matched:.1f} m at another"
-            )
-    return best
+    kept: list[Place] = []
+    for place in found:
+        other = all(_elsewhere(each.overlay.pose, place.overlay.pose, apart) for each in kept)
+        if other and place.worth > UNIQUE * found[0].worth:
+            kept.append(place)
+    if len(kept) > MOST_PLACES:
+        raise NoMatchError(f"the maps fit in more than one way: {len(kept)} places are as good as each other")
+    return kept
 
 
 def _believe(agreement: float, through: float, matched: float, covariance: np.ndarray) -> None:
