@@ -18,7 +18,7 @@ from kalmap.models import RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
 from kalmap.records import ContourConfig, Odometry, Scan, SensorConfig
-from kalmap.slam.engines import CompiledEngine
+from kalmap.slam.engines import BadSampleError, CompiledEngine
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
 FIRST_LIMIT, LAST_LIMIT = (
@@ -218,7 +218,10 @@ class LiveMap:
         return self.belief.mean[kernel.SAMPLES : self.belief.n].reshape(-1, 2).copy()
 
     def predict(self, event: Odometry) -> None:
-        """Odometry: equations (5) and (6)."""
+        """Odometry: equations (5) and (6). Raises BadSampleError before anything is changed."""
+        finite = np.isfinite(event.values).all() and np.isfinite(event.durations).all()
+        if not finite or (event.durations < 0.0).any():
+            raise BadSampleError("an odometry sample is not finite or has a negative duration")
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
             kernel.shift_point(belief.mean, belief.packed, belief.n, 1.0)
