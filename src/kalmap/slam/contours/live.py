@@ -236,8 +236,8 @@ class LiveMap:
         """Where a scan fits the samples best. prior: (3, 3) covariance of `pose`.
 
         Where few of the samples in view are found there, the odometry may have jumped: then the scan is tried all
-        around, and goes where clearly more of them are found. Returns the pose (3,) and what became of each sample
-        (N,): its piece, or HIDDEN, OPEN, ASIDE.
+        around, and goes where clearly more of them are found, and enough that it would be trusted there. Returns the
+        pose (3,) and what became of each sample (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
         fitted, found = self.place(seen, pose, prior)
         shift = fitted - pose
@@ -249,14 +249,14 @@ class LiveMap:
             if BETTER * _value(there) >= _value(found):
                 fitted, found = near, there
         share = _share(found)
-        if share >= TRUSTED_SHARE * self.usual or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
+        if share >= TRUSTED_SHARE * self.usual or _in_view(found) < LEAST_IN_VIEW:
             return fitted, found
         best = BETTER * _value(found)
         for turn in TURNS:
             start = np.array([pose[0], pose[1], pose[2] + turn])
             other, there = self.place(seen, start, ASTRAY)
-            value = _value(there)
-            if value > best:
+            value, enough = _value(there), max(LEAST_IN_VIEW, TRUSTED_SHARE * self.usual * _in_view(there))
+            if value > best and (there >= 0).sum() >= enough:
                 best, fitted, found = value, other, there
         return fitted, found
 
@@ -386,7 +386,12 @@ def _value(found: np.ndarray) -> float:
 
 def _share(found: np.ndarray) -> float:
     """Of the samples in view, the share that a scan finds."""
-    return float((found >= 0).sum() / max(1, (found != kernel.HIDDEN).sum()))
+    return float((found >= 0).sum() / max(1, _in_view(found)))
+
+
+def _in_view(found: np.ndarray) -> int:
+    """How many of the samples a scan could show."""
+    return int((found != kernel.HIDDEN).sum())
 
 
 def _turned_back(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
