@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import signal
@@ -62,6 +64,22 @@ def kalmap(*words: object, cwd: Path | None = None) -> Answer:
     finally:
         process.kill()
     return Answer(process.returncode, out, err)
+
+
+def kalmap_inside(*words: object) -> Answer:
+    """The command in this process: everything but a fresh interpreter, for where many calls would each pay for one."""
+    from kalmap.cli.main import main
+
+    out, err, before, code = io.StringIO(), io.StringIO(), sys.argv, 0
+    sys.argv = ["kalmap", *map(str, words)]
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            main()
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else 0
+    finally:
+        sys.argv = before
+    return Answer(code, out.getvalue(), err.getvalue())
 
 
 def kalmap_all(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:

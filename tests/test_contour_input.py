@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from contour_rooms import block_log, mapper
+from kalmap.gaussian import CentralDifference
 from kalmap.geometry.se2 import rotate
 from kalmap.models import Ackermann, VelocitySteering
 from kalmap.records import ConfigError, ContourConfig, EventError, Odometry, Scan, Sightings
@@ -171,10 +172,12 @@ def test_no_place_in_a_bare_corridor_is_called_a_loop_far_back():
 
 
 @pytest.mark.slow
-def test_people_do_not_make_a_wrong_loop():
+@pytest.mark.parametrize("seed", [3, 5])
+def test_people_do_not_make_a_wrong_loop(seed):
     """Truth: 40 people in the corridors; every loop that is believed is where the drive really was, to 0.5 m."""
-    log = simulate(world_by_name("crowd"), 3)
-    slam = mapper(log, close_distance=10.0)
+    log = simulate(world_by_name("crowd"), seed)
+    plain = mapper(log, close_distance=10.0)
+    slam = ContourSlam(plain.motion, plain.scanner, plain.settings, CentralDifference(), start=log.start)
     outcome = run(slam, log, reckon=False)
     joined, reference = slam._worker.settled(), log.references[0]
     starts = [
@@ -289,3 +292,22 @@ def test_settings_that_contradict_each_other_are_refused():
         with pytest.raises(ConfigError, match=words):
             make()
     assert ContourSlam(Ackermann(), settings=ContourConfig(method="slasem")).landmark_count == 0
+
+
+def test_a_scan_of_nothing_that_is_there_seldom_moves_the_robot():
+    """Independent: the drive without them. Two scans of surfaces drawn at random, 30 times: they leave the pose within
+    10 cm but for one time in four, where by chance they fit elsewhere as well as scans do as a rule."""
+    log, apart = drive(), []
+    events = list(log.open(None))[:100]
+    good = mapper(log, "slasem")
+    for event in events:
+        good.step(event)
+    for seed in range(100, 130):
+        slam, rng = mapper(log, "slasem"), np.random.default_rng(seed)
+        for number, event in enumerate(events):
+            if isinstance(event, Scan) and number in (79, 81):
+                event = msgspec.structs.replace(event, ranges=np.repeat(rng.uniform(0.7, 4.0, 12), 10))
+            slam.step(event)
+        apart.append(np.abs(slam.pose - good.pose).max())
+    assert max(apart) > 0.01
+    assert (np.array(apart) > 0.1).mean() < 0.25
