@@ -29,7 +29,7 @@ from kalmap.slam.submaps.divide import DivideAndConquer
 
 STEP, LANE, RANGE = 0.6, 40.0, 30.0  # m
 SIGMA_MOVE, SIGMA_TURN = 0.03, math.radians(0.25)  # m and rad a step
-SETTINGS = DivideConfig(on=True, close_landmarks=60, close_distance=250.0)
+SETTINGS = DivideConfig(on=True)
 
 
 def increments(side: float) -> Iterator[np.ndarray]:

@@ -49,7 +49,7 @@ def poses_of(log, count=SCANS):
 @pytest.fixture(scope="module")
 def rows():
     """A drive with one beam a degree, as a CARMEN log of 181 beams has it."""
-    from contour_drives import block_world
+    from contour_rooms import block_world
     from kalmap.simulate import simulate
     from kalmap.simulate.disturb_scans import with_beams
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from contour_drives import block_log, events_of, mapper
+from contour_rooms import block_log, events_of, mapper
 from damage import cuts, flipped, refused_cuts
 from kalmap.gaussian import CentralDifference
 from kalmap.records import ConfigError, ContourConfig, LogError, Odometry, Scan

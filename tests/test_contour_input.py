@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from contour_drives import block_log, mapper
+from contour_rooms import block_log, mapper
 from kalmap.gaussian import CentralDifference
 from kalmap.geometry.se2 import rotate
 from kalmap.models import Ackermann, VelocitySteering
@@ -156,7 +156,7 @@ def test_along_a_bare_corridor_the_robot_is_as_unsure_as_its_odometry(method):
     assert 0.8 * alone < along[-1] < 3.0 * alone
     counts = outcome.estimate.counts
     assert counts["local_maps"] == (1 if method == "slasem" else 6)
-    assert counts["local_maps_loose"] >= max(1, counts["local_maps"] - 1)  # the last one is too short to tell
+    assert counts["local_maps_loose"] >= max(1, counts["local_maps"] - 1)  # the last one may just have begun
     assert abs(counts["weakest_direction_deg"]) < 5.0 and counts["weakest_direction_sigma_m"] < 1.2 * alone
     room = outcome_of(drive(), method).estimate.counts
     assert room["local_maps_loose"] == 0 and room["weakest_direction_sigma_m"] < 0.05

@@ -52,7 +52,7 @@ def names(folder):
 
 def test_each_kind_of_map_has_its_files_and_leaves_none_of_the_other(tmp_path):
     run = floor_run()
-    grid = occupancy_grid(run.estimate.sweeps(), max_range=REACH)
+    grid = occupancy_grid(run.estimate.sweeps(), max_range=REACH, clear_range=5.0)
     assert set(write(tmp_path, run, grid)) == names(tmp_path) == COMMON | CONTOURS | GRID
     write(tmp_path, run)
     assert names(tmp_path) == COMMON | CONTOURS
@@ -219,7 +219,7 @@ def test_a_run_of_contours_is_saved_whole(tmp_path):
         assert words in page.words
     assert "Landmarks" not in page.words
     cells, resolution, origin = serve(tmp_path)
-    grid = occupancy_grid(run.estimate.sweeps(), max_range=REACH)
+    grid = occupancy_grid(run.estimate.sweeps(), max_range=REACH, clear_range=5.0)
     np.testing.assert_array_equal(cells, grid.cells)
     assert (resolution, origin) == (grid.resolution, [*grid.origin.tolist(), 0.0])
     assert len(read_map_file(tmp_path / "map.kalmap").estimate().contours) == len(run.estimate.contours)

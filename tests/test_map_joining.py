@@ -141,5 +141,6 @@ def test_the_command_joins_writes_and_refuses(halves, tmp_path):
     refused = kalmap("join", paths[0], tmp_path / "other.kalmap", "--out", tmp_path / "no")
     assert refused.code == 2 and "overlap" in refused.error
     assert not (tmp_path / "no" / "map.kalmap").exists()
+    assert "same map" in kalmap("join", paths[0], paths[0], "--out", tmp_path / "no").error
     (tmp_path / "bad.kalmap").write_bytes(b"no map")
     assert "bad.kalmap" in kalmap("join", paths[0], tmp_path / "bad.kalmap", "--out", tmp_path / "no").error

@@ -127,3 +127,10 @@ def test_a_landmark_known_exactly_twice_is_an_error_with_a_name():
     exact = [local_map(each.mean, np.zeros_like(each.covariance), each.ids) for each in (first, second)]
     with pytest.raises(NotPositiveError, match="join"):
         join(*exact, ById()(*exact))
+
+
+def test_maps_that_share_nothing_are_joined_whatever_the_gate():
+    first, second = random_maps(np.random.default_rng(9), 2)
+    other = local_map(second.mean, second.covariance, second.ids + 100)
+    joined = LandmarkJoiner(gate=0.9)(first, other)
+    assert joined is not None and len(joined) == len(first) + len(second)

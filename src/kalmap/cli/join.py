@@ -17,7 +17,8 @@ import click
 def command(first: Path, second: Path, out: Path | None, by_id: bool, no_figures: bool, quiet: bool) -> None:
     """Join FIRST.kalmap and SECOND.kalmap, whose frames have nothing to do with each other, into one map.
 
-    How the maps lie to each other is found by the shapes that their landmarks form, or by their numbers with --by-id.
+    How the maps lie to each other is found by the shapes that their landmarks form, or by their numbers with --by-id;
+    maps of contours are laid on each other at all places and turns.
     The joined map is in the first one's frame. Maps that do not overlap, or fit in more than one way, are refused.
     """
     from kalmap.cli.folder import make_folder
@@ -27,11 +28,7 @@ def command(first: Path, second: Path, out: Path | None, by_id: bool, no_figures
     report = join_files(first, second, folder, by_id=by_id, figures=not no_figures)
     if quiet:
         return
-    chance = "" if report.chance is None else f", 1 in {1.0 / max(report.chance, 1e-99):.0e} by chance"
-    click.echo(
-        f"{len(report.pairs)} pairs of landmarks (joint distance {report.joint_distance:.1f} in {report.degrees} "
-        f"dimensions{chance}); {report.landmarks} landmarks in all"
-    )
+    click.echo(report.found())
     click.echo(
         f"second map in the first: {report.x:.3f} m, {report.y:.3f} m, {report.heading_deg:.3f} deg "
         f"(sigma {report.sigma_x:.3f} m, {report.sigma_y:.3f} m, {report.sigma_heading_deg:.3f} deg)"

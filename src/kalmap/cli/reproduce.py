@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from kalmap.study.paper_report import Reproduction
 
 Use = Literal["joint", "sequential"]
-PAPERS = ("crcdkf", "djnn", "srckf-phd")
-_RUNS = {"crcdkf": 50, "djnn": 20, "srckf-phd": 10}
+PAPERS = ("crcdkf", "djnn", "srckf-phd", "slasem")
+_RUNS = {"crcdkf": 50, "djnn": 20, "srckf-phd": 10, "slasem": 3}
 # options that only one of the papers has a use for
-_OWN = {"full_runs": "crcdkf", "use": "crcdkf", "mda_runs": "djnn"}
+_OWN = {"full_runs": "crcdkf", "use": "crcdkf", "mda_runs": "djnn", "methods": "slasem"}
 
 
 @click.command("reproduce", short_help="Make a paper's tables and figures again.")
@@ -24,7 +24,7 @@ _OWN = {"full_runs": "crcdkf", "use": "crcdkf", "mda_runs": "djnn"}
 @click.option(
     "--runs",
     type=click.IntRange(min=1),
-    help="Seeds a method; default 50 for crcdkf, 20 for djnn, 10 for srckf-phd.",
+    help="Seeds a method; default 50 for crcdkf, 20 for djnn, 10 for srckf-phd, 3 for slasem.",
 )
 @click.option(
     "--full-runs",
@@ -40,6 +40,9 @@ _OWN = {"full_runs": "crcdkf", "use": "crcdkf", "mda_runs": "djnn"}
     help="djnn: seeds of MDA on the whole map (slow); default 6, if there are so many.",
 )
 @click.option(
+    "--methods", help="slasem: of ekf (as published), cr-cdkf, invariant, with commas between; default ekf."
+)
+@click.option(
     "--workers", type=click.IntRange(min=1), help="Processes; default one a core, 1 for clean times."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Folder; default kalmap-reproduce-PAPER.")
@@ -50,7 +53,8 @@ def command(
     """Reproduce PAPER.
 
     crcdkf: Chen & Cheng 2012, tables 1 and 2 and figure 2. djnn: Zhou, Zhao & Zhang 2010, tables 1 and 2 and figure 2.
-    srckf-phd: Yan et al. 2014, table 2, figures 2, 3 and 4, and figure 6 where the car park's log is.
+    srckf-phd: Yan et al. 2014, table 2, figures 2, 3 and 4, and figure 6 where the car park's log is. slasem: Sun et
+    al. 2010, figures 4 to 7, on simulated floors, one run after the other.
 
     Stopped, it goes on where it was when called again with the same folder. Exit code 1 if a claim does not hold.
     """
@@ -58,7 +62,7 @@ def command(
 
     chosen = _of_paper(paper, own)
     folder = out or Path(f"kalmap-reproduce-{paper}")
-    make = {"crcdkf": _crcdkf, "djnn": _djnn, "srckf-phd": _srckf_phd}[paper]
+    make = {"crcdkf": _crcdkf, "djnn": _djnn, "srckf-phd": _srckf_phd, "slasem": _slasem}[paper]
     with progress_bar(f"reproduce {paper}", quiet) as show:
         reproduction = make(
             folder,
@@ -100,6 +104,13 @@ def _djnn(folder: Path, **settings: Any) -> Reproduction:
     from kalmap.study import reproduce_djnn
 
     return reproduce_djnn(folder, **settings)
+
+
+def _slasem(folder: Path, methods: str = "ekf", **settings: Any) -> Reproduction:
+    from kalmap.study import reproduce_slasem
+
+    names = [name.strip() for name in methods.split(",")]
+    return reproduce_slasem(folder, methods=names, **settings)
 
 
 def _srckf_phd(folder: Path, **settings: Any) -> Reproduction:

@@ -122,6 +122,21 @@ def write_landmarks(folder: Path, estimate: Estimate, provenance: dict[str, Any]
         write_atomically(folder / name, content)
 
 
+def write_contours(folder: Path, estimate: Estimate, provenance: dict[str, Any]) -> None:
+    """Write a map of contours alone, as `write_result` does: csv, GeoJSON and the native map."""
+    if estimate.contours is None:
+        raise ValueError("the estimate holds no contours")
+    contents = {
+        CONTOURS_CSV: contours_csv(estimate.contours).encode(),
+        CONTOURS_GEOJSON: contours_geojson(estimate.contours, estimate.time).encode(),
+        MAP: map_bytes(estimate, provenance),
+    }
+    for name in (LANDMARKS_CSV, LANDMARKS_GEOJSON):  # of an earlier result
+        (folder / name).unlink(missing_ok=True)
+    for name, content in contents.items():
+        write_atomically(folder / name, content)
+
+
 def check_result_folder(folder: Path | str) -> None:
     """Raise `KalmapError` unless a result may be written here.
 

@@ -12,6 +12,7 @@ from numba import njit
 
 from kalmap.kernels.implicit import project, signed_distance
 from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE, INVARIANT, JACOBIAN, NOT_POSITIVE, OK, RULE
+from kalmap.kernels.packed import pack, unpack
 from kalmap.kernels.regression import left_jacobian, regress, square_root, weights, wrap
 from kalmap.kernels.sensing import sighting_block, to_twist
 from kalmap.kernels.update import apply_rows, gather_rows
@@ -265,7 +266,32 @@ def regress_distances(
 
 
 CALIBRATION = 3  # where the scanner's calibration stands in the state: bearing scale, range offset
-SAMPLES = 5  # where the samples begin
+LEVER = 5  # x, y m of the point that the odometry speaks of, in the vehicle's frame
+SAMPLES = 7  # where the samples begin
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shift_point(mean, packed, n, sign):
+    """Speak of the odometry's point instead of the vehicle's (sign 1), or the other way round (-1): O(n)."""
+    c, s = sign * math.cos(mean[2]), sign * math.sin(mean[2])
+    x, y = c * mean[LEVER] - s * mean[LEVER + 1], s * mean[LEVER] + c * mean[LEVER + 1]
+    mean[0] += x
+    mean[1] += y
+    block, across = np.empty((SAMPLES, SAMPLES)), np.empty((2, SAMPLES))
+    unpack(packed, SAMPLES, block)
+    for j in range(SAMPLES):
+        across[0, j] = c * block[LEVER, j] - s * block[LEVER + 1, j] - y * block[2, j]
+        across[1, j] = s * block[LEVER, j] + c * block[LEVER + 1, j] + x * block[2, j]
+    block[:2] += across
+    for i in range(SAMPLES):
+        from_x, from_y, turn = block[i, LEVER], block[i, LEVER + 1], block[i, 2]
+        block[i, 0] += c * from_x - s * from_y - y * turn
+        block[i, 1] += s * from_x + c * from_y + x * turn
+    pack(block, SAMPLES, packed)
+    for i in range(SAMPLES, n):
+        row = packed[i * (i + 1) // 2 :]
+        row[0] += c * row[LEVER] - s * row[LEVER + 1] - y * row[2]
+        row[1] += s * row[LEVER] + c * row[LEVER + 1] + x * row[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

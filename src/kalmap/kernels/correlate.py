@@ -170,6 +170,8 @@ def search_places(levels, low, cell, points, normals, centre, angles, half, leas
             size = 1 << (level - 1)
             for quarter in range(4):
                 r, c = row + (quarter // 2) * size, column + (quarter % 2) * size
+                if r > half or c > half:
+                    continue  # the coarse windows reach beyond what is asked for
                 value = _fit(levels[level - 1], size, cells[a], r, c)
                 if value >= max(least * full, values[-1]):
                     stack[top, 0], stack[top, 1], stack[top, 2] = a, r, c

@@ -273,6 +273,7 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_askew_deg: NonNegative = 0.3
     sigma_bearing_scale: NonNegative = 0.01
     sigma_range_offset: NonNegative = 0.03
+    sigma_lever: NonNegative = 0.1
     clear_range: NonNegative = 5.0
     background: bool = True
 

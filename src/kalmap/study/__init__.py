@@ -16,6 +16,7 @@ from kalmap.study.methods import parse_method, parse_methods
 from kalmap.study.montecarlo import run_cases, run_study
 from kalmap.study.paper_report import Reproduction
 from kalmap.study.result import StudyResult, Summary, runs_csv, summary_csv
+from kalmap.study.slasem import reproduce_slasem
 from kalmap.study.srckf_phd import reproduce_srckf_phd
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "parse_methods",
     "reproduce_crcdkf",
     "reproduce_djnn",
+    "reproduce_slasem",
     "reproduce_srckf_phd",
     "run_cases",
     "run_study",

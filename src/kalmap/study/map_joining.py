@@ -20,6 +20,7 @@ from kalmap.data.results import check_result_folder, write_landmarks, write_mani
 from kalmap.records import Estimate, Landmarks, LogError, Manifest
 from kalmap.slam.submaps.local_map import LocalMap, local_map
 from kalmap.slam.submaps.matching import Matched, match_by_id, match_by_place
+from kalmap.study.contour_joining import ContourJoinReport, join_contour_files
 from kalmap.view import save_figures
 from kalmap.view.join_figure import JoinView, join_figure
 
@@ -45,16 +46,32 @@ class JoinReport(msgspec.Struct, frozen=True):
     chance: float | None
     renamed: list[tuple[int, int]]
 
+    def found(self) -> str:
+        """What holds the maps together, in words."""
+        chance = "" if self.chance is None else f", 1 in {1.0 / max(self.chance, 1e-99):.0e} by chance"
+        return (
+            f"{len(self.pairs)} pairs of landmarks (joint distance {self.joint_distance:.1f} in {self.degrees} "
+            f"dimensions{chance}); {self.landmarks} landmarks in all"
+        )
 
-def join_files(first: Path, second: Path, folder: Path, *, by_id: bool, figures: bool = True) -> JoinReport:
-    """Join two native maps and write the joined one beside what it rests on.
+
+def join_files(
+    first: Path, second: Path, folder: Path, *, by_id: bool, figures: bool = True
+) -> JoinReport | ContourJoinReport:
+    """Join two native maps, of landmarks or of contours, and write the joined one beside what it rests on.
 
     The result is in the first map's frame and its pose is the second's robot. Raises LogError for files that are no
     maps, NoMatchError where it cannot be told how the maps lie, KalmapError if the folder holds something else.
     """
     started = datetime.now(UTC)
     check_result_folder(folder)
-    saved = [read_map_file(path) for path in (first, second)]
+    saved = (read_map_file(first), read_map_file(second))
+    if first.read_bytes() == second.read_bytes():
+        raise LogError("is the same map as the first: joined, it would count twice", file=second)
+    if any(each.contour_normals is not None for each in saved):
+        return _join_contours(
+            saved, (first, second), folder, _manifest((first, second), by_id, started), figures
+        )
     matched, report, estimate = join_saved(saved[0], saved[1], (first, second), by_id=by_id)
     folder.mkdir(parents=True, exist_ok=True)
     manifest = _manifest((first, second), by_id, started)
@@ -62,9 +79,24 @@ def join_files(first: Path, second: Path, folder: Path, *, by_id: bool, figures:
     write_landmarks(folder, estimate, {"kalmap": __version__, "joined_from": manifest.data_sha256})
     write_atomically(folder / "join.json", json_text(report).encode())
     if figures:
-        save_figures(folder / "figures", {"join": join_figure(_view(matched, saved, (first, second)))})
+        save_figures(folder / "figures", {"join": join_figure(_view(matched, list(saved), (first, second)))})
     write_manifest(folder, msgspec.structs.replace(manifest, finished=_now()))
     return report
+
+
+def _join_contours(
+    saved: tuple[SavedMap, SavedMap],
+    names: tuple[Path, Path],
+    folder: Path,
+    manifest: Manifest,
+    figures: bool,
+) -> ContourJoinReport:
+    for each, name in zip(saved, names, strict=True):
+        if each.contour_normals is None:
+            raise LogError(
+                "holds landmarks and no contours, the other map contours", file=name, field="contours"
+            )
+    return join_contour_files(saved, names, folder, manifest, figures)
 
 
 def join_saved(

@@ -14,9 +14,9 @@ from kalmap.data.files import json_ready, write_atomically
 from kalmap.study.cases import CURVE_POINTS, Case, RunRecord
 
 _FORMAT = "kalmap-study-run/1"
-# rooms that cannot change what a run comes to, but for the one file that makes the records
+# rooms that cannot change what a run comes to, but for the files that make the records
 _WITHOUT_EFFECT = ("cli", "view", "data", "study")
-_RECORDS = Path("study", "cases.py")
+_RECORDS = tuple(Path("study", name) for name in ("cases.py", "slasem_cases.py", "slasem_drive.py"))
 
 
 class Store:
@@ -69,6 +69,6 @@ def _sources() -> str:
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         inside = path.relative_to(root)
-        if inside == _RECORDS or inside.parts[0] not in _WITHOUT_EFFECT:
+        if inside in _RECORDS or inside.parts[0] not in _WITHOUT_EFFECT:
             digest.update(inside.as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()

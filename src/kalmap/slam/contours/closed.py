@@ -16,6 +16,9 @@ REACH = 0.4  # m, how far from a contour its neighbourhood is known
 BLUR = 0.1  # m, standard deviation of the fit in the search
 DIRECTIONS, LEVELS = 8, 5
 DENSE = 0.1  # m between points along a contour
+LEAST_APART = (
+    0.02  # m along a contour between neighbours: of one drawn twice, no step goes from one to the other
+)
 
 
 class ClosedMap(msgspec.Struct, frozen=True, eq=False, dict=True):
@@ -135,6 +138,7 @@ def neighbours(samples: np.ndarray, normals: np.ndarray, spacing: float) -> np.n
     along = way[:, 1] * own[:, 0] - way[:, 0] * own[:, 1]
     across = np.abs((way * own).sum(axis=1))
     fits = ((own * other).sum(axis=1) > 0.76) & (across < 0.35 * np.abs(along) + 0.03)
+    fits &= np.abs(along) > LEAST_APART
     both, along = both[fits], along[fits]
     order = np.lexsort((np.abs(along), along > 0.0, both[:, 0]))
     both, side = both[order], along[order] > 0.0

@@ -70,10 +70,10 @@ class FrameGraph:
         self._covariance = None
 
     def _linearised(self) -> tuple[np.ndarray, ...]:
-        first = np.array([r.first for r in self.relations])
-        second = np.array([r.second for r in self.relations])
-        measured = np.array([r.pose for r in self.relations])
-        information = np.array([r.information for r in self.relations])
+        first = np.array([r.first for r in self.relations], dtype=np.int64)
+        second = np.array([r.second for r in self.relations], dtype=np.int64)
+        measured = np.array([r.pose for r in self.relations]).reshape(-1, 3)
+        information = np.array([r.information for r in self.relations]).reshape(-1, 3, 3)
         a, b = self.frames[first], self.frames[second]
         way = rotate(-a[:, 2], b[:, :2] - a[:, :2])
         residual = np.column_stack([way - measured[:, :2], wrap(b[:, 2] - a[:, 2] - measured[:, 2])])

@@ -18,7 +18,7 @@ from kalmap.models import RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
 from kalmap.records import ContourConfig, Odometry, Scan, SensorConfig
-from kalmap.slam.engines import CompiledEngine
+from kalmap.slam.engines import BadSampleError, CompiledEngine
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
 FIRST_LIMIT, LAST_LIMIT = (
@@ -33,15 +33,22 @@ SMALL = np.diag([1e-6, 1e-6, 1e-7])  # what no odometry is better than
 FORGET = 0.05  # a scan's part in what is the rule
 LEAST_IN_VIEW = 10  # samples
 BETTER = 1.5  # how many times better another place must be
+SURE_SHARE, SURE_FOUND = (
+    0.7,
+    25,
+)  # of the samples in view, and how many, that it must find: people stand about, too
+SLIP = np.array([0.3, 0.3, 0.3])  # m, m, rad, of wheels; beyond it the odometry must have jumped
+SLIPPED, JUMPED = 1.3, 2.0  # how many times larger the share must be there
 TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
 ASTRAY = np.diag([0.5**2, 0.5**2, 0.1**2])
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """What is known of the scanner: mean (2,) and covariance (2, 2) of its bearing scale and its range offset m.
+    """What is known of the vehicle: mean (4,) and covariance (4, 4) of bearing scale, range offset m and lever x, y m.
 
-    A bearing b truly is (1 + scale) b, a range r truly is r + offset.
+    A bearing b truly is (1 + scale) b, a range r truly is r + offset. The lever is where the point that the odometry
+    speaks of is in the vehicle's frame, to which the scanner is fixed as its settings say.
     """
 
     mean: np.ndarray
@@ -59,8 +66,14 @@ class Rules(msgspec.Struct, frozen=True):
     @property
     def calibration(self) -> Calibration:
         """What is known of the scanner before the drive."""
-        sigmas = np.array([self.contour.sigma_bearing_scale, self.contour.sigma_range_offset])
-        return Calibration(np.zeros(2), np.diag(sigmas**2))
+        contour = self.contour
+        sigmas = [
+            contour.sigma_bearing_scale,
+            contour.sigma_range_offset,
+            contour.sigma_lever,
+            contour.sigma_lever,
+        ]
+        return Calibration(np.zeros(4), np.diag(sigmas) ** 2)
 
     @property
     def mount(self) -> np.ndarray:
@@ -98,8 +111,8 @@ class Seen(msgspec.Struct, frozen=True):
 def prepare(scan: Scan, rules: Rules, calibration: np.ndarray, twist: np.ndarray) -> Seen:
     """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep.
 
-    calibration: (2,) bearing scale and range offset m, which are taken out. twist: (3,) m/s, m/s, rad/s of the vehicle,
-    by which the beams were taken from different places.
+    calibration: bearing scale and range offset m, which are taken out, and more. twist: (3,) m/s, m/s, rad/s of the
+    vehicle, by which the beams were taken from different places.
     """
     scan = undistorted(calibrated(scan, calibration), twist, rules.mount, rules.sensor.beam_time)
     pieces = cut_scan(scan, rules.sensor, rules.cut)
@@ -158,30 +171,20 @@ class LiveMap:
 
     def __init__(self, rules: Rules, calibration: Calibration | None = None) -> None:
         self.rules = rules
-        self.belief = Belief(np.zeros(3), np.zeros((3, 3)))
-        self._calibrate(calibration or rules.calibration)
+        self.belief = _begun(np.zeros(3), calibration or rules.calibration)
         self._setup = rules.engine.setup.copy()
-        self._setup[BIAS_COUNT] = 2  # the scanner's calibration is not turned with the map
-        self._since = Belief(np.zeros(3), np.zeros((3, 3)))
+        self._setup[BIAS_COUNT] = kernel.SAMPLES - 3  # the calibration is not turned with the map
+        self._since = _begun(np.zeros(3), self.calibration)
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
         self.length, self.scans, self.usual = 0.0, 0, 1.0
         self.nis, self.used = float("nan"), 0
 
-    def _calibrate(self, calibration: Calibration) -> None:
-        belief = self.belief
-        whole = np.zeros((kernel.SAMPLES, kernel.SAMPLES))
-        whole[3:, 3:] = calibration.covariance
-        belief.reserve(kernel.SAMPLES)
-        belief.mean[3:5] = calibration.mean
-        pack(whole, kernel.SAMPLES, belief.packed)
-        belief.n = kernel.SAMPLES
-
     @property
     def calibration(self) -> Calibration:
         """What is known of the scanner now."""
-        entries = np.array([kernel.CALIBRATION, kernel.CALIBRATION + 1])
+        entries = np.arange(kernel.CALIBRATION, kernel.SAMPLES)
         return Calibration(self.belief.mean[entries], self.belief.block(entries))
 
     @property
@@ -215,10 +218,16 @@ class LiveMap:
         return self.belief.mean[kernel.SAMPLES : self.belief.n].reshape(-1, 2).copy()
 
     def predict(self, event: Odometry) -> None:
-        """Odometry: equations (5) and (6)."""
+        """Odometry: equations (5) and (6). Raises BadSampleError before anything is changed."""
+        finite = np.isfinite(event.values).all() and np.isfinite(event.durations).all()
+        if not finite or (event.durations < 0.0).any():
+            raise BadSampleError("an odometry sample is not finite or has a negative duration")
         before = self.belief.mean[:2].copy()
-        self.rules.engine.predict(self.belief, event)
-        self.rules.engine.predict(self._since, event)
+        for belief in (self.belief, self._since):
+            kernel.shift_point(belief.mean, belief.packed, belief.n, 1.0)
+            self.rules.engine.predict(belief, event)
+            belief.flush()
+            kernel.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
 
     def observe(self, seen: Seen) -> None:
@@ -229,34 +238,37 @@ class LiveMap:
             self._correct(seen)
         if len(seen.pieces):
             self._found(seen)
-        self._since = Belief(self.belief.mean[:3], np.zeros((3, 3)))
+        self._since = _begun(self.belief.mean[:3], self.calibration)
         self._retire()
 
     def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where a scan fits the samples best. prior: (3, 3) covariance of `pose`.
 
         Where few of the samples in view are found there, the odometry may have jumped: then the scan is tried all
-        around, and goes where clearly more of them are found, and enough that it would be trusted there. Returns the
-        pose (3,) and what became of each sample (N,): its piece, or HIDDEN, OPEN, ASIDE.
+        around, and goes where clearly more of them are found. Returns the pose (3,) and what became of each sample
+        (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
         fitted, found = self.place(seen, pose, prior)
         shift = fitted - pose
         shift[2] = wrap(shift[2])
-        if (
-            shift @ np.linalg.solve(prior + SMALL, shift) > FAR
-        ):  # the odometry lies, or the scan is on the wrong samples
+        # beyond that the odometry lies, or the scan is on the wrong samples
+        if shift @ np.linalg.solve(prior + SMALL, shift) > FAR:
             near, there = self.place(seen, pose, prior, NEAR_LIMIT)
             if BETTER * _value(there) >= _value(found):
                 fitted, found = near, there
         share = _share(found)
-        if share >= TRUSTED_SHARE * self.usual or _in_view(found) < LEAST_IN_VIEW:
+        if share >= TRUSTED_SHARE * self.usual or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
             return fitted, found
-        best = BETTER * _value(found)
+        best, before, first = BETTER * _value(found), share, fitted
         for turn in TURNS:
             start = np.array([pose[0], pose[1], pose[2] + turn])
             other, there = self.place(seen, start, ASTRAY)
-            value, enough = _value(there), max(LEAST_IN_VIEW, TRUSTED_SHARE * self.usual * _in_view(there))
-            if value > best and (there >= 0).sum() >= enough:
+            value, share = _value(there), _share(there)
+            if value <= best or share < SURE_SHARE or (there >= 0).sum() < SURE_FOUND:
+                continue
+            move = other - first
+            move[2] = wrap(move[2])
+            if share >= (SLIPPED if (np.abs(move) < SLIP).all() else JUMPED) * before:
                 best, fitted, found = value, other, there
         return fitted, found
 
@@ -384,14 +396,21 @@ def _value(found: np.ndarray) -> float:
     return float((found >= 0).sum()) * _share(found)
 
 
+def _begun(pose: np.ndarray, calibration: Calibration) -> Belief:
+    """A belief of a pose (3,) that is known exactly and of the calibration."""
+    belief = Belief(pose, np.zeros((3, 3)))
+    whole = np.zeros((kernel.SAMPLES, kernel.SAMPLES))
+    whole[3:, 3:] = calibration.covariance
+    belief.reserve(kernel.SAMPLES)
+    belief.mean[3 : kernel.SAMPLES] = calibration.mean
+    pack(whole, kernel.SAMPLES, belief.packed)
+    belief.n = kernel.SAMPLES
+    return belief
+
+
 def _share(found: np.ndarray) -> float:
     """Of the samples in view, the share that a scan finds."""
-    return float((found >= 0).sum() / max(1, _in_view(found)))
-
-
-def _in_view(found: np.ndarray) -> int:
-    """How many of the samples a scan could show."""
-    return int((found != kernel.HIDDEN).sum())
+    return float((found >= 0).sum() / max(1, (found != kernel.HIDDEN).sum()))
 
 
 def _turned_back(pose: np.ndarray, points: np.ndarray) -> np.ndarray:

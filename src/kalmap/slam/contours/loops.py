@@ -17,8 +17,11 @@ AMBIGUOUS = 0.8  # a second place this good, as a share of the best, leaves the 
 CONTRADICTS = "the place contradicts the drive"
 VOTES = 2  # maps that must say the same against the drive
 VOTED_MATCHED = 20.0  # m of contour that they must say it of
+FARTHEST = 10.0 * GATE  # squared distance beyond which a place is not tried against the drive
+MOST_TRIED = 10  # of the places that are doubted
 WIDEST, FARTHEST_TURN = 8.0, 0.7  # m and rad, the largest search
 SURE, SURE_TURN = 0.5, 0.1  # m and rad: where the place is known better than this, there is nothing to search
+FARTHEST_MISFIT = 30.0  # as much as one pair of maps counts in the errors' scale
 PRIOR_SCALE, PRIOR_COUNT = 4.0, 3  # of the errors' scale, before maps have been seen
 FLOOR = np.diag([0.01**2, 0.01**2, 0.002**2])  # of a relation's covariance: maps bend
 
@@ -64,12 +67,7 @@ class Loops:
 
     def finish(self) -> None:
         """Ask once more for what was left open, and lay all maps on each other where they are thought to be now."""
-        for first, second in sorted(self.open):
-            found, problem = self._lay(first, second)
-            if problem is None and found is not None:
-                self._believe(first, second, found)
-            elif problem is not None:
-                self.open[first, second] = problem
+        self._reconsider(everything=True)
         self._relay()
         self.graph.solve(30)
 
@@ -103,6 +101,9 @@ class Loops:
                 break
             first = waiting.pop(best)
             found, problem = self._lay(first, number)
+            if found is not None and number == first + 1:
+                last = self.maps[first]
+                self._misfits.append(min(_distance(found, last.end, last.end_covariance), FARTHEST_MISFIT))
             if problem is None and found is not None:
                 self._believe(first, number, found)
             elif problem is not None:
@@ -110,6 +111,8 @@ class Loops:
                 if found is not None and problem.startswith(CONTRADICTS):
                     doubted.append((first, found))
         self._vote(number, doubted)
+        if any(self.open.get((first, number), "").startswith(CONTRADICTS) for first, _ in doubted):
+            self._reconsider()
 
     def _believe(self, first: int, second: int, found: Overlay) -> None:
         """Take a loop as true, and move the frames."""
@@ -138,6 +141,45 @@ class Loops:
             self._believe(doubted[i][0], number, doubted[i][1])
         if self._held() < held + len(group):
             self.graph, self.open = before, kept
+
+    def _reconsider(self, everything: bool = False) -> None:
+        """Ask once more for what was left open, everything or what contradicts the drive.
+
+        A place that contradicts the drive is tried: it is believed if, once the frames have moved, it holds, others
+        that were doubted hold with it, and none that was believed gives way. Else all is as it was before.
+        """
+        while True:
+            doubted: dict[tuple[int, int], Overlay] = {}
+            for pair in sorted(self.open):
+                if not (everything or self.open[pair].startswith(CONTRADICTS)):
+                    continue
+                found, problem = self._lay(*pair)
+                if found is not None and problem is None:
+                    self._believe(*pair, found)
+                elif problem is not None:
+                    self.open[pair] = problem
+                    if found is not None and problem.startswith(CONTRADICTS):
+                        doubted[pair] = found
+            nearest = sorted(doubted, key=lambda pair: self._off(pair, doubted[pair]))
+            if not any(self._tried(pair, doubted) for pair in nearest[:MOST_TRIED]):
+                return
+
+    def _off(self, pair: tuple[int, int], found: Overlay) -> float:
+        """Squared distance of a place that was found from where the frames have it now."""
+        return _distance(found, *self.graph.between(*pair), self.scale)
+
+    def _tried(self, pair: tuple[int, int], doubted: dict[tuple[int, int], Overlay]) -> bool:
+        """Believe a doubted place if others bear it out; see `_reconsider`."""
+        if self._off(pair, doubted[pair]) > FARTHEST:
+            return False
+        graph, kept, held = self.graph.copy(), dict(self.open), self._held()
+        self._believe(*pair, doubted[pair])
+        borne = [other for other in doubted if self._off(other, doubted[other]) < GATE]
+        matched = sum(doubted[other].matched for other in borne)
+        if self._held() > held and len(borne) >= VOTES and matched >= VOTED_MATCHED:
+            return True
+        self.graph, self.open = graph, kept
+        return False
 
     def _held(self) -> int:
         """How many loops agree with where the frames are."""
@@ -169,9 +211,6 @@ class Loops:
         if not overlays or overlays[0].matched < LEAST_MATCHED:
             return None, None
         best = overlays[0]
-        if second == first + 1:
-            squared = _distance(best, a.end, a.end_covariance)
-            self._misfits.append(min(squared, 30.0))
         return best, self._problem(overlays, guess, covariance, second == first + 1)
 
     def _problem(

@@ -274,6 +274,10 @@ class ContourSlam:
             "bearing_scale_sigma": float(deviations[0]),
             "range_offset_m": float(calibration.mean[1]),
             "range_offset_sigma_m": float(deviations[1]),
+            "lever_x_m": float(calibration.mean[2]),
+            "lever_x_sigma_m": float(deviations[2]),
+            "lever_y_m": float(calibration.mean[3]),
+            "lever_y_sigma_m": float(deviations[3]),
         }
 
     def settled_labels(self, labels: np.ndarray) -> np.ndarray:

@@ -125,7 +125,13 @@ class DivideAndConquer:
         self._forest.close(closed)
 
     def _local_map(self) -> LocalMap:
-        return local_map(*self.live.confirmed_map())
+        """The open map as it would be closed. What is `extent` wide has a place of its own in every map that saw it."""
+        mean, covariance, ids, sightings = self.live.confirmed_map()
+        own = (
+            0.5 * getattr(self.live.association, "extent", 0.0) ** 2
+        )  # of each of two maps that are compared
+        covariance[np.arange(3, len(mean)), np.arange(3, len(mean))] += own
+        return local_map(mean, covariance, ids, sightings)
 
     def _keep_numbers(self) -> None:
         """What the closed map's labels have to be told later."""
@@ -207,11 +213,9 @@ class DivideAndConquer:
     def trajectory(self) -> Trajectory:
         """Where the vehicle was at every frame, as it is seen now."""
         done, passed = self.finished(), self._passed
-        count = len(passed.times)
-        poses, covariances = np.empty((count, 3)), np.empty((count, 3, 3))
-        for row, part in enumerate(passed.parts):
-            placed = done.starts[part], done.start_covariances[part]
-            poses[row], covariances[row] = composed(*placed, passed.poses[row], passed.covariances[row])
+        count, parts = len(passed.times), np.array(passed.parts, dtype=np.int64)
+        local = np.array(passed.poses).reshape(count, 3), np.array(passed.covariances).reshape(count, 3, 3)
+        poses, covariances = composed(done.starts[parts], done.start_covariances[parts], *local)
         return Trajectory(np.array(passed.times), poses, covariances)
 
     def settled_labels(self, labels: np.ndarray) -> np.ndarray:

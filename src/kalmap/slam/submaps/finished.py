@@ -15,6 +15,7 @@ from kalmap.slam.submaps.joiner import chained, relinearised
 from kalmap.slam.submaps.local_map import LocalMap
 from kalmap.slam.submaps.recovery import Recovery
 
+_TOLERANCE = 1e-10  # a hundred-thousandth of a standard deviation
 JOINT_LIMIT = 12_000  # numbers in a joint covariance: 1.2 GB, and as much again while it is written
 
 
@@ -52,7 +53,7 @@ def finished(
     for each in copy.maps[1:]:
         whole = chained(whole, each)
     try:
-        whole = relinearised(whole)
+        whole = relinearised(whole, _TOLERANCE)
     except NotPositiveError:  # a part without noise in some direction: the full covariance is all there is
         whole.dense()
     return _placed(whole, apart, start, start_covariance)

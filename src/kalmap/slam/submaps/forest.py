@@ -111,10 +111,12 @@ def chain(maps: Iterable[Joinable]) -> tuple[np.ndarray, np.ndarray]:
 def composed(
     T_map_a: np.ndarray, cov_a: np.ndarray, T_a_b: np.ndarray, cov_b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """T_map_b and its covariance from two independent poses: first order, additive."""
+    """T_map_b (..., 3) and its covariance (..., 3, 3) from independent poses: first order, additive."""
     pose = compose(T_map_a, T_a_b)
-    by_a, by_b = np.eye(3), np.eye(3)
-    by_a[:2, 2] = quarter_turn(pose[:2] - T_map_a[:2])
-    c, s = np.cos(T_map_a[2]), np.sin(T_map_a[2])
-    by_b[:2, :2] = [[c, -s], [s, c]]
-    return pose, by_a @ cov_a @ by_a.T + by_b @ cov_b @ by_b.T
+    by_a = np.zeros((*pose.shape, 3))
+    by_a[..., [0, 1, 2], [0, 1, 2]] = 1.0
+    by_b = by_a.copy()
+    by_a[..., :2, 2] = quarter_turn(pose[..., :2] - T_map_a[..., :2])
+    c, s = np.cos(T_map_a[..., 2]), np.sin(T_map_a[..., 2])
+    by_b[..., 0, 0], by_b[..., 0, 1], by_b[..., 1, 0], by_b[..., 1, 1] = c, -s, s, c
+    return pose, by_a @ cov_a @ by_a.swapaxes(-1, -2) + by_b @ cov_b @ by_b.swapaxes(-1, -2)

@@ -49,8 +49,8 @@ class LandmarkJoiner(msgspec.Struct, frozen=True):
         if pairs is None:
             return None
         joined = self._joined(first, second, pairs)
-        if joined is None:
-            return None
+        if joined is None or not len(pairs):
+            return joined
         squared = joined.squared - first.squared - second.squared
         return None if squared > chi_square(self.gate, 2 * len(pairs)) else joined
 

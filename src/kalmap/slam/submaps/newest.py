@@ -42,7 +42,8 @@ def _tied(first: LocalMap, second: LocalMap, gate: float) -> LocalMap:
     pairs = ById()(first, second)
     try:
         joined = join(first, second, pairs)
-        if joined.squared - first.squared - second.squared <= chi_square(gate, 2 * len(pairs)):
+        squared = joined.squared - first.squared - second.squared
+        if not len(pairs) or squared <= chi_square(gate, 2 * len(pairs)):
             return joined
     except (NotSettledError, NotPositiveError):
         pass
