@@ -226,7 +226,12 @@ def _check(state: _State) -> None:
     """Raise ValueError unless the parts fit each other."""
     live, loops, maps = state.live, state.loops, len(state.loops.maps)
     count = len(live.normals)
-    if (live.belief.n, live.belief.robot, live.since.n, live.since.robot) != (SAMPLES + 2 * count, 3, 3, 3):
+    if (live.belief.n, live.belief.robot, live.since.n, live.since.robot) != (
+        SAMPLES + 2 * count,
+        3,
+        SAMPLES,
+        3,
+    ):
         raise ValueError("the open map's arrays do not fit together")
     check_arrays((live.normals, (count, 2), "f"), (live.sightings, (count,), "i"), (live.open, (count,), "i"))
     check_arrays((state.start, (3,), "f"), (state.start_covariance, (3, 3), "f"))

@@ -245,8 +245,8 @@ class LiveMap:
         """Where a scan fits the samples best. prior: (3, 3) covariance of `pose`.
 
         Where few of the samples in view are found there, the odometry may have jumped: then the scan is tried all
-        around, and goes where clearly more of them are found, and enough that it would be trusted there. Returns the
-        pose (3,) and what became of each sample (N,): its piece, or HIDDEN, OPEN, ASIDE.
+        around, and goes where clearly more of them are found. Returns the pose (3,) and what became of each sample
+        (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
         fitted, found = self.place(seen, pose, prior)
         shift = fitted - pose
@@ -257,7 +257,7 @@ class LiveMap:
             if BETTER * _value(there) >= _value(found):
                 fitted, found = near, there
         share = _share(found)
-        if share >= TRUSTED_SHARE * self.usual or _in_view(found) < LEAST_IN_VIEW:
+        if share >= TRUSTED_SHARE * self.usual or (found != kernel.HIDDEN).sum() < LEAST_IN_VIEW:
             return fitted, found
         best, before, first = BETTER * _value(found), share, fitted
         for turn in TURNS:
@@ -410,12 +410,7 @@ def _begun(pose: np.ndarray, calibration: Calibration) -> Belief:
 
 def _share(found: np.ndarray) -> float:
     """Of the samples in view, the share that a scan finds."""
-    return float((found >= 0).sum() / max(1, _in_view(found)))
-
-
-def _in_view(found: np.ndarray) -> int:
-    """How many of the samples a scan could show."""
-    return int((found != kernel.HIDDEN).sum())
+    return float((found >= 0).sum() / max(1, (found != kernel.HIDDEN).sum()))
 
 
 def _turned_back(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
