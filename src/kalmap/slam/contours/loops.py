@@ -18,6 +18,7 @@ CONTRADICTS = "the place contradicts the drive"
 VOTES = 2  # maps that must say the same against the drive
 VOTED_MATCHED = 20.0  # m of contour that they must say it of
 FARTHEST = 10.0 * GATE  # squared distance beyond which a place is not tried against the drive
+TRIED_AGREEMENT = 0.85  # against the drive more must agree than with it
 MOST_TRIED = 10  # of the places that are doubted
 WIDEST, FARTHEST_TURN = 8.0, 0.7  # m and rad, the largest search
 SURE, SURE_TURN = 0.5, 0.1  # m and rad: where the place is known better than this, there is nothing to search
@@ -170,7 +171,7 @@ class Loops:
 
     def _tried(self, pair: tuple[int, int], doubted: dict[tuple[int, int], Overlay]) -> bool:
         """Believe a doubted place if others bear it out; see `_reconsider`."""
-        if self._off(pair, doubted[pair]) > FARTHEST:
+        if self._off(pair, doubted[pair]) > FARTHEST or doubted[pair].agreement < TRIED_AGREEMENT:
             return False
         graph, kept, held = self.graph.copy(), dict(self.open), self._held()
         self._believe(*pair, doubted[pair])
