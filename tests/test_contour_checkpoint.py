@@ -164,6 +164,8 @@ def test_everything_that_is_known_is_saved():
         *(
             "_frames",
             "_estimate",
+            "_framed",  # what was told last: told again, not saved
+            "_told",
             "frame_nis",
             "frame_used",
             "frame_labels",

@@ -22,6 +22,7 @@ from kalmap.simulate.disturb_scans import (
     without_scans,
 )
 from kalmap.slam import run
+from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.slam import ContourSlam
 from slam_problems import STEERING_BIASES
 
@@ -313,3 +314,25 @@ def test_a_scan_of_nothing_that_is_there_seldom_moves_the_robot():
         apart.append(np.abs(slam.pose - good.pose).max())
     assert max(apart) > 0.01
     assert (np.array(apart) > 0.1).mean() < 0.25
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_a_map_that_cannot_be_joined_loses_nothing(background, monkeypatch):
+    """The third map's place cannot be judged: it stays behind the second, the reason is told, the drive goes on."""
+    seek, calls = Loops.seek, []
+
+    def failing(self):
+        calls.append(len(self.maps))
+        if len(self.maps) == 3 and calls.count(3) == 1:
+            raise np.linalg.LinAlgError("singular, as it happens")
+        seek(self)
+
+    monkeypatch.setattr(Loops, "seek", failing)
+    log = block_log()
+    slam = mapper(log, background=background)
+    outcome = run(slam, log, reckon=False)
+    assert outcome.error is None and outcome.estimate.counts["local_maps"] >= 4
+    loops = slam._worker.settled().loops
+    assert loops.open[2, 2].endswith("singular, as it happens")
+    truth = log.references[0].positions[: len(outcome.estimate.trajectory.poses)]
+    assert np.hypot(*(outcome.estimate.trajectory.poses[:, :2] - truth).T).max() < 0.5

@@ -96,3 +96,13 @@ def test_coreslam_cut_and_spoilt(tmp_path):
     path.write_text("1 2 3\n")
     with pytest.raises(LogError, match="no log recognised"):
         open_log(path)
+
+
+def test_a_clock_that_is_set_back_does_not_stop_time(tmp_path):
+    """By hand: 0 to 4 s, the clock set back by an hour, 5 s more; the time between two scans stays a second."""
+    stamps = [*np.arange(5.0), *(np.arange(5.0, 10.0) - 3600.0)]
+    path = write(tmp_path / "a.log", [flaser([1.0], (0.0, 0.0, 0.0), float(t)) for t in stamps])
+    _, scans = pairs(open_log(path))
+    steps = np.diff([scan.time for scan in scans])
+    assert (steps > 0.0).all() and np.allclose(steps[[0, 1, 2, 3, 5, 6, 7, 8]], 1.0)
+    assert [scan.stamp for scan in scans[5:]] == stamps[5:]

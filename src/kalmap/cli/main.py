@@ -52,7 +52,10 @@ def kalmap() -> None:
 
 def main() -> None:
     """Entry point: every error becomes one line and an exit code."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # many small products: threads cost more than they bring
+    for name in (
+        "OPENBLAS_NUM_THREADS",
+        "OMP_NUM_THREADS",
+    ):  # many small products: threads cost more than they bring
         os.environ.setdefault(name, "1")
     try:
         code = kalmap.main(prog_name="kalmap", standalone_mode=False)

@@ -124,10 +124,15 @@ def interpolated(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> tuple[
     return pose_between(poses[before], poses[after], share), np.abs(at - inside)
 
 
+SET_BACK = 10.0
+"""s: messages overtake each other by less; a stamp so far back is of a clock that was set."""
+
+
 def times_put_right(drive: Drive) -> np.ndarray:
     """(n,) s, non-decreasing: the stamps, and `TICK` after the event before where a stamp lies before that.
 
-    After a jump of the clock back, all stamps are moved on by the same amount. Rows that become no events keep theirs.
+    After a jump of the clock back, or a stamp that lies `SET_BACK` before the one before it, all stamps are moved on by
+    the same amount. Rows that become no events keep theirs.
     """
     times = drive.stamps.copy()
     last, moved, jumped = -np.inf, 0.0, False
@@ -135,7 +140,7 @@ def times_put_right(drive: Drive) -> np.ndarray:
         jumped |= row in drive.jumps
         if row in drive.malformed or row in drive.left_out:
             continue
-        if jumped and stamp + moved < last:
+        if stamp + moved < (last if jumped else last - SET_BACK):
             moved = last + TICK - stamp
         # Unix seconds have a grain of 0.24 us, so a tick is never lost
         last = stamp + moved if stamp + moved >= last else last + TICK

@@ -24,14 +24,15 @@ ASIDE = -3  # in view, but on no piece: between pieces, or too far from one
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest_beam(bearings, bearing):
-    """The beam that points there, -1 if none does within its neighbours' spacing. bearings ascend."""
+    """The beam that points there, -1 if none does within a spacing, as they are on average. bearings ascend."""
     count = len(bearings)
-    after = np.searchsorted(bearings, bearing)
-    if after == 0 or after == count:
-        edge = 0 if after == 0 else count - 1
-        spacing = bearings[1] - bearings[0] if count > 1 else 0.0
-        return edge if abs(bearings[edge] - bearing) <= spacing else -1
-    return after if bearings[after] - bearing < bearing - bearings[after - 1] else after - 1
+    if count == 1:
+        return 0 if bearings[0] == bearing else -1
+    near = (bearings[count - 1] - bearings[0]) / (count - 1) * (1.0 + 1e-9)
+    after = min(np.searchsorted(bearings, bearing), count - 1)
+    before = max(after - 1, 0)
+    beam = after if abs(bearings[after] - bearing) < abs(bearing - bearings[before]) else before
+    return beam if abs(bearings[beam] - bearing) <= near else -1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -41,6 +41,7 @@ SLIP = np.array([0.3, 0.3, 0.3])  # m, m, rad, of wheels; beyond it the odometry
 SLIPPED, JUMPED = 1.3, 2.0  # how many times larger the share must be there
 TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
 ASTRAY = np.diag([0.5**2, 0.5**2, 0.1**2])
+SAGITTA = 0.01  # m, how far a contour may bend away from the line between two samples
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
 
 
@@ -114,7 +115,9 @@ def prepare(scan: Scan, rules: Rules, calibration: np.ndarray, twist: np.ndarray
     calibration: bearing scale and range offset m, which are taken out, and more. twist: (3,) m/s, m/s, rad/s of the
     vehicle, by which the beams were taken from different places.
     """
-    scan = undistorted(calibrated(scan, calibration), twist, rules.mount, rules.sensor.beam_time)
+    scan = undistorted(
+        calibrated(scan, calibration, rules.sensor), twist, rules.mount, rules.sensor.beam_time
+    )
     pieces = cut_scan(scan, rules.sensor, rules.cut)
     piece_of_beam = np.full(len(scan.bearings), -1, dtype=np.int64)
     piece_of_beam[pieces.beam] = pieces.piece
@@ -122,13 +125,21 @@ def prepare(scan: Scan, rules: Rules, calibration: np.ndarray, twist: np.ndarray
     ranges = np.asarray(scan.ranges, dtype=float)
     ranges = np.where(ranges > rules.sensor.min_range, ranges, np.inf)  # NaN and zero too: nothing came back
     order = np.argsort(bearings, kind="stable")
+    order = order[np.isfinite(bearings[order])]
     return Seen(scan, pieces, bearings[order], ranges[order], piece_of_beam[order], _deviations(pieces))
 
 
-def calibrated(scan: Scan, calibration: np.ndarray) -> Scan:
-    """The scan as it is without the scanner's bearing scale and range offset (2,)."""
+def calibrated(scan: Scan, calibration: np.ndarray, sensor: SensorConfig) -> Scan:
+    """The scan without the scanner's bearing scale and range offset, the first two of `calibration`.
+
+    What is no range of the scanner's becomes +inf before it is shifted: NaN, what is too near, and what is too far.
+    """
+    raw = np.asarray(scan.ranges, dtype=float)
+    measured = (raw > sensor.min_range) & (raw < sensor.max_range)
     bearings = np.asarray(scan.bearings, dtype=float) * (1.0 + calibration[0])
-    return msgspec.structs.replace(scan, bearings=bearings, ranges=np.asarray(scan.ranges) + calibration[1])
+    return msgspec.structs.replace(
+        scan, bearings=bearings, ranges=np.where(measured, raw + calibration[1], np.inf)
+    )
 
 
 def undistorted(scan: Scan, twist: np.ndarray, mount: np.ndarray, beam_time: float) -> Scan:
@@ -416,10 +427,6 @@ def _share(found: np.ndarray) -> float:
 def _turned_back(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(M, 2) points of the map in the robot's frame."""
     return np.ascontiguousarray(rotate(-pose[2], points - pose[:2]))
-
-
-SAGITTA = 0.01
-"""m, how far a contour may bend away from the line between two samples."""
 
 
 def _spacing_by_bend(pieces: Pieces) -> np.ndarray:

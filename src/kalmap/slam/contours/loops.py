@@ -50,11 +50,24 @@ class Loops:
 
     def close(self, closed: ClosedMap) -> None:
         """Take a map that has been closed, and look for its loops."""
+        self.append(closed)
+        self.seek()
+
+    def append(self, closed: ClosedMap) -> None:
+        """Take a map that has been closed: it begins where the last one ends."""
         if self.maps:
             last = self.maps[-1]
             self.graph.append(last.end, self.scale * (last.end_covariance + FLOOR))
         self.maps.append(closed)
+
+    def seek(self) -> None:
+        """Look for the newest map among all others."""
         self._seek(len(self.maps) - 1)
+
+    def give_up(self, graph: FrameGraph, problem: str) -> None:
+        """Go back to a graph from before the newest map was looked for, which could not be done."""
+        self.graph = graph
+        self.open[len(self.maps) - 1, len(self.maps) - 1] = f"its place could not be judged: {problem}"
 
     @property
     def scale(self) -> float:
@@ -70,6 +83,22 @@ class Loops:
         """Ask once more for what was left open, and lay all maps on each other where they are thought to be now."""
         self._reconsider(everything=True)
         self._relay()
+        self.graph.solve(30)
+        self._withdraw()
+
+    def _withdraw(self) -> None:
+        """Leave open again what does not hold any more, now that all has been said."""
+        off = self.graph.distances() if self.graph.relations else np.zeros(0)
+        gone = [
+            each
+            for each, far in zip(self.graph.relations, off, strict=True)
+            if each.loop and far > 2.0 * GATE
+        ]
+        if not gone:
+            return
+        self.graph.replace([each for each in self.graph.relations if each not in gone])
+        for each in gone:
+            self.open[each.first, each.second] = "it was believed, and did not hold"
         self.graph.solve(30)
 
     def _relay(self) -> None:
@@ -127,6 +156,11 @@ class Loops:
 
         Several maps must say the same, over enough contour, and what was believed before must still hold.
         """
+        doubted = [
+            (first, found)
+            for first, found in doubted
+            if found.agreement >= TRIED_AGREEMENT and self._off((first, number), found) < FARTHEST
+        ]
         if len(doubted) < VOTES:
             return
         places = np.array([compose(self.graph.frames[first], found.pose) for first, found in doubted])
@@ -140,7 +174,7 @@ class Loops:
         held = self._held()
         for i in group:
             self._believe(doubted[i][0], number, doubted[i][1])
-        if self._held() < held + len(group):
+        if not held | {(doubted[i][0], number) for i in group} <= self._held():
             self.graph, self.open = before, kept
 
     def _reconsider(self, everything: bool = False) -> None:
@@ -152,6 +186,8 @@ class Loops:
         while True:
             doubted: dict[tuple[int, int], Overlay] = {}
             for pair in sorted(self.open):
+                if pair[0] == pair[1]:
+                    continue
                 if not (everything or self.open[pair].startswith(CONTRADICTS)):
                     continue
                 found, problem = self._lay(*pair)
@@ -175,17 +211,23 @@ class Loops:
             return False
         graph, kept, held = self.graph.copy(), dict(self.open), self._held()
         self._believe(*pair, doubted[pair])
-        borne = [other for other in doubted if self._off(other, doubted[other]) < GATE]
-        matched = sum(doubted[other].matched for other in borne)
-        if self._held() > held and len(borne) >= VOTES and matched >= VOTED_MATCHED:
+        others = [other for other in doubted if other != pair and self._off(other, doubted[other]) < GATE]
+        matched = sum(doubted[other].matched for other in others)
+        if held | {pair} <= self._held() and len(others) >= VOTES - 1 and matched >= VOTED_MATCHED:
             return True
         self.graph, self.open = graph, kept
         return False
 
-    def _held(self) -> int:
-        """How many loops agree with where the frames are."""
-        loops = np.array([relation.loop for relation in self.graph.relations])
-        return int((self.graph.distances()[loops] < GATE).sum()) if loops.any() else 0
+    def _held(self) -> set[tuple[int, int]]:
+        """The loops that agree with where the frames are."""
+        if not self.graph.relations:
+            return set()
+        near = self.graph.distances() < GATE
+        return {
+            (each.first, each.second)
+            for each, holds in zip(self.graph.relations, near)
+            if each.loop and holds
+        }
 
     def _looseness(self, first: int, second: int) -> float:
         """How unsure the place of one map on the other is, in m; infinite where they cannot touch."""

@@ -10,7 +10,7 @@ import numpy as np
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import correlate
-from kalmap.slam.contours.closed import CELL, ClosedMap, Shape
+from kalmap.slam.contours.closed import CELL, ClosedMap
 
 LIMITS = np.array([0.3, 0.08])  # m, how far apart two contours that are one may lie, at first and in the end
 ROUNDS = 30
@@ -121,8 +121,3 @@ def search(
         at = centre + CELL * np.array([column, row]) - rotate(angles[angle], b.centre)
         found.append(np.array([at[0], at[1], float(wrap(angles[angle]))]))
     return found
-
-
-def extent(shape: Shape) -> tuple[np.ndarray, float]:
-    """Centre (2,) m and radius m of all that a map shows."""
-    return shape.centre, shape.radius

@@ -34,7 +34,7 @@ from kalmap.slam.contours.leg import OpenLeg, composed
 from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
 from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
-from kalmap.slam.contours.worker import Joined, Worker, closed
+from kalmap.slam.contours.worker import Joined, Placed, Worker, closed, relaid
 from kalmap.slam.engines import BadSampleError
 from kalmap.slam.window import Revisions
 
@@ -91,6 +91,10 @@ class ContourSlam:
         self._twist = np.zeros(3)  # m/s, m/s, rad/s of the vehicle, by the last odometry
         self._changes = self._frames = 0
         self._estimate: tuple[int, Estimate] | None = None
+        self._framed: tuple[Placed, int, np.ndarray, np.ndarray] | None = (
+            None  # what was last told, to tell it again
+        )
+        self._told: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
         self.frame_nis, self.frame_used = float("nan"), 0
         self.frame_labels = np.zeros(0, dtype=np.int64)
         self.frame_sightings: Sightings | None = None
@@ -179,8 +183,8 @@ class ContourSlam:
     def _close(self, scan: Scan) -> None:
         """Close the local map, and start the next one where the vehicle is, with the scan at hand."""
         live = self._live
-        self._ends.append((live.pose, live.pose_covariance))
         self._worker.close(live, self._leg.leg())
+        self._ends.append((live.pose, live.pose_covariance))
         self._live, self._leg = LiveMap(self.rules, live.calibration), OpenLeg()
         self._live.observe(prepare(scan, self.rules, live.calibration.mean, self._twist))
 
@@ -189,10 +193,20 @@ class ContourSlam:
     def _frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the local map's frame is now, and its covariance, by the newest map that has been joined."""
         placed = self._worker.placed
-        pose, covariance = composed(self._start, self._start_covariance, placed.pose, placed.covariance)
-        for end, spread in self._ends[max(0, placed.count - 1) :]:
-            pose, covariance = composed(pose, covariance, end, spread)
-        return pose, covariance
+        if self._framed is None or self._framed[0] is not placed or self._framed[1] != len(self._ends):
+            pose, covariance = composed(self._start, self._start_covariance, placed.pose, placed.covariance)
+            for end, spread in self._ends[max(0, placed.count - 1) :]:
+                pose, covariance = composed(pose, covariance, end, spread)
+            self._framed = placed, len(self._ends), pose, covariance
+        return self._framed[2], self._framed[3]
+
+    def _now(self) -> tuple[np.ndarray, np.ndarray]:
+        """The pose in the newest joined frame, and its covariance."""
+        frame, spread = self._frame()
+        if self._told is None or self._told[0] != self._changes or self._told[1] is not frame:
+            there = composed(frame, spread, self._live.pose, self._live.pose_covariance)
+            self._told = self._changes, frame, *there
+        return self._told[2], self._told[3]
 
     @property
     def time(self) -> float:
@@ -202,12 +216,12 @@ class ContourSlam:
     @property
     def pose(self) -> np.ndarray:
         """(3,) x m, y m, heading rad, in the newest joined frame; a copy."""
-        return composed(*self._frame(), self._live.pose, self._live.pose_covariance)[0]
+        return self._now()[0].copy()
 
     @property
     def pose_covariance(self) -> np.ndarray:
         """(3, 3); a copy."""
-        return composed(*self._frame(), self._live.pose, self._live.pose_covariance)[1]
+        return self._now()[1].copy()
 
     @property
     def landmark_count(self) -> int:
@@ -230,7 +244,7 @@ class ContourSlam:
         loops, legs = joined.loops.copy(), list(joined.legs)
         if self._live.scans:
             loops.close(closed(self._live))
-            legs.append(self._leg.leg())
+            legs.append(relaid(self._live, self._leg.leg()))
         loops.finish()
         frames, covariances = self._placed(loops)
         trajectory = whole_trajectory(legs, frames, covariances)

@@ -128,7 +128,7 @@ def whole_sweeps(legs: Sequence[Leg], frames: np.ndarray, rules: Rules, calibrat
         kept = _apart(leg.poses, step)
         poses.append(compose(np.broadcast_to(frame, (len(kept), 3)), leg.poses[kept]))
         for row in kept:
-            scan = calibrated(leg.scans[row], calibration)
+            scan = calibrated(leg.scans[row], calibration, rules.sensor)
             scans.append(undistorted(scan, leg.twists[row], mount, beam_time))
     at = np.concatenate(poses)
     return Sweeps(compose(at, np.broadcast_to(mount, at.shape)), tuple(scans))

@@ -28,9 +28,18 @@ class Joined(msgspec.Struct):
     legs: list[Leg]
 
     def close(self, live: LiveMap, leg: Leg) -> None:
-        """Take a local map that has been closed, and the scans that it was made from."""
-        self.legs.append(relaid(live, leg))
-        self.loops.close(closed(live))
+        """Take a local map that has been closed, and the scans that it was made from.
+
+        Where its place among the others cannot be judged, it keeps the one behind the last, and the reason is kept.
+        """
+        self.loops.append(closed(live))
+        self.legs.append(leg)
+        graph = self.loops.graph.copy()
+        try:
+            self.legs[-1] = relaid(live, leg)
+            self.loops.seek()
+        except (ArithmeticError, ValueError) as problem:  # not positive definite, or singular
+            self.loops.give_up(graph, str(problem))
 
 
 class Placed(msgspec.Struct, frozen=True, eq=False):
@@ -48,7 +57,12 @@ def closed(live: LiveMap) -> ClosedMap:
 
 
 def relaid(live: LiveMap, leg: Leg) -> Leg:
-    """Every scan of the leg laid on the finished map: where it was taken is known better now than at the time."""
+    """Every scan of the leg laid on the finished map: where it was taken is known better now than at the time.
+
+    Not so for a vehicle that never moved.
+    """
+    if not live.length:
+        return leg
     poses = leg.poses.copy()
     calibration = live.calibration.mean
     for row, scan in enumerate(leg.scans):
