@@ -12,7 +12,7 @@ TREES = RunConfig(perception=PerceptionConfig(detector="trees", max_range=40.0, 
 NOTHING = dict.fromkeys(
     (
         *("scope", "coordinates", "use", "association", "management", "detector", "config_file", "seed"),
-        *("method", "particles", "proposal", "weighting"),
+        *("method", "particles", "proposal", "weighting", "divide"),
     )
 )
 

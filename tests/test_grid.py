@@ -188,7 +188,7 @@ def test_evidence_is_bayes_rule():
     for hits in range(5):
         for passes in range(9):
             p = 0.5
-            for likelihood in [0.75] * hits + [0.36] * passes:
+            for likelihood in [0.75] * hits + [0.4] * passes:
                 p = p * likelihood / (p * likelihood + (1 - p) * (1 - likelihood))
             expected = OCCUPIED if p > 0.65 else FREE if p < 0.25 else UNKNOWN
             assert classify(np.array([hits]), np.array([passes]))[0] == expected

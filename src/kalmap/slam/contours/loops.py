@@ -88,17 +88,16 @@ class Loops:
 
     def _withdraw(self) -> None:
         """Leave open again what does not hold any more, now that all has been said."""
-        off = self.graph.distances() if self.graph.relations else np.zeros(0)
-        gone = [
-            each
-            for each, far in zip(self.graph.relations, off, strict=True)
-            if each.loop and far > 2.0 * GATE
-        ]
-        if not gone:
+        if not self.graph.relations:
             return
-        self.graph.replace([each for each in self.graph.relations if each not in gone])
-        for each in gone:
-            self.open[each.first, each.second] = "it was believed, and did not hold"
+        far = self.graph.distances() > 2.0 * GATE
+        held = [each for each, off in zip(self.graph.relations, far, strict=True) if not (each.loop and off)]
+        if len(held) == len(self.graph.relations):
+            return
+        for each, off in zip(self.graph.relations, far, strict=True):
+            if each.loop and off:
+                self.open[each.first, each.second] = "it was believed, and did not hold"
+        self.graph.replace(held)
         self.graph.solve(30)
 
     def _relay(self) -> None:
