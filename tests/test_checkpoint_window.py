@@ -40,7 +40,9 @@ def told_all(events: list) -> list:
             more["attributes"] = dict(event.attributes, kind=rng.integers(0, 3, count))
             bearings = np.linspace(-1.5, 1.5, 31)
             if number % 2:
-                more["scan"] = Scan(event.time, rng.uniform(5, 40, 31), bearings, rng.random(31), number, "s", event.time)
+                more["scan"] = Scan(
+                    event.time, rng.uniform(5, 40, 31), bearings, rng.random(31), number, "s", event.time
+                )
             if number % 5 < 2:
                 more["covariance"] = np.tile(np.diag([0.01, 4e-4]), (count, 1, 1))
         full.append(msgspec.structs.replace(event, **more))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Pixels a metre that walls need to be judged by eye, and the bounds of what that may make of a picture.
-_PER_METRE, _LEAST_DPI, _MOST_DPI = 80.0, 300.0, 480.0
+_PER_METRE, _LEAST_DPI, _MOST_DPI = 80.0, 240.0, 330.0
 _UNKNOWN_SHADE, _FREE_SHADE, _OCCUPIED_SHADE = "#e9edf2", "#ffffff", "#a9bad0"
 _SAMPLES_SHOWN, _POSES_SHOWN = 60, 12
 _THICK = 0.05  # m, how thick a contour may be drawn
@@ -147,8 +147,6 @@ def _draw_drive(axes: Axes, run: RunView, limits: Limits) -> None:
 
 def _draw_grid(axes: Axes, grid: OccupancyGrid) -> None:
     """Free, occupied and unknown as three light shades; unknown also beyond the grid."""
-    from matplotlib.colors import to_rgb
-
     limits = (*axes.get_xlim(), *axes.get_ylim())
     height, width = grid.cells.shape
     (left, low), (right, high) = ((np.array(limits).reshape(2, 2).T - grid.origin) / grid.resolution).tolist()
@@ -158,15 +156,24 @@ def _draw_grid(axes: Axes, grid: OccupancyGrid) -> None:
     axes.set_facecolor(_UNKNOWN_SHADE)
     if not cells.size:
         return
-    shades = np.empty((*cells.shape, 3))
-    shades[:] = to_rgb(_UNKNOWN_SHADE)
-    shades[cells == FREE] = to_rgb(_FREE_SHADE)
-    shades[cells == OCCUPIED] = to_rgb(_OCCUPIED_SHADE)
+    shades = np.empty(
+        (*cells.shape, 3), dtype=np.uint8
+    )  # bytes: a large plan in floats takes a gigabyte to draw
+    shades[:] = _bytes(_UNKNOWN_SHADE)
+    shades[cells == FREE] = _bytes(_FREE_SHADE)
+    shades[cells == OCCUPIED] = _bytes(_OCCUPIED_SHADE)
     x, y = (grid.origin + grid.resolution * np.array([columns.start, rows.start])).tolist()
     extent = (x, x + cells.shape[1] * grid.resolution, y, y + cells.shape[0] * grid.resolution)
     axes.imshow(shades, extent=extent, origin="lower", interpolation="nearest", zorder=1)
     axes.set_xlim(limits[:2])
     axes.set_ylim(limits[2:])
+
+
+def _bytes(shade: str) -> tuple[int, int, int]:
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = (round(255.0 * part) for part in to_rgb(shade))
+    return red, green, blue
 
 
 def _draw_spread(axes: Axes, run: RunView, limits: Limits) -> None:
