@@ -136,3 +136,33 @@ def test_one_frame_alone():
     )
     pose, covariance = graph.between(0, 0)
     assert np.array_equal(pose, np.zeros(3)) and np.array_equal(covariance, np.zeros((3, 3)))
+
+
+def test_a_sparse_factor_says_what_a_full_inverse_says(monkeypatch):
+    """Oracle: the dense form. A loop of 60 frames with chords, solved and asked for all that is ever asked."""
+    rng = np.random.default_rng(5)
+
+    def looped():
+        graph = FrameGraph()
+        for _ in range(59):
+            graph.append(
+                np.array([1.0, 0.0, 2 * np.pi / 60]) + noise[len(graph.frames)], np.diag([1e-3, 1e-3, 1e-4])
+            )
+        for first, second in ((0, 30), (5, 55), (10, 40), (0, 59)):
+            pose, _ = graph.between(first, second)
+            graph.add(Relation(first, second, pose + shift, np.diag([400.0, 400.0, 900.0]), loop=True))
+        graph.solve(30)
+        return graph
+
+    noise, shift = rng.normal(0, 0.01, (60, 3)), np.array([0.05, -0.04, 0.01])
+    dense = looped()
+    assert type(dense.spread()).__name__ == "Dense"
+    monkeypatch.setattr("kalmap.slam.contours.spread.DENSE_FRAMES", 10)
+    sparse = looped()
+    assert type(sparse.spread()).__name__ == "Sparse"
+    assert np.allclose(sparse.frames, dense.frames, rtol=0, atol=1e-9)
+    assert np.allclose(sparse.covariance(), dense.covariance(), rtol=1e-8, atol=1e-13)
+    assert np.allclose(sparse.own_covariances(), dense.own_covariances(), rtol=1e-8, atol=1e-13)
+    for pair in ((0, 7), (3, 59), (20, 21), (4, 4)):
+        for ours, theirs in zip(sparse.between(*pair), dense.between(*pair)):
+            assert np.allclose(ours, theirs, rtol=1e-7, atol=1e-12)

@@ -7,6 +7,7 @@ import numpy as np
 
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
+from kalmap.slam.contours.spread import Spread, spread_of
 
 
 class Relation(msgspec.Struct, frozen=True):
@@ -31,24 +32,24 @@ class FrameGraph:
     def __init__(self) -> None:
         self.frames = np.zeros((1, 3))
         self.relations: list[Relation] = []
-        self._covariance: np.ndarray | None = None
+        self._spread: Spread | None = None
 
     def append(self, step: np.ndarray, covariance: np.ndarray) -> None:
         """A further frame, from what the last map says of its end."""
         self.frames = np.concatenate([self.frames, compose(self.frames[-1], step)[None]])
         count = len(self.frames)
         self.relations.append(Relation(count - 2, count - 1, step.copy(), np.linalg.inv(covariance)))
-        self._covariance = None
+        self._spread = None
 
     def replace(self, relations: list[Relation]) -> None:
         """Other relations between the same frames."""
         self.relations = relations
-        self._covariance = None
+        self._spread = None
 
     def add(self, relation: Relation) -> None:
         """A loop."""
         self.relations.append(relation)
-        self._covariance = None
+        self._spread = None
 
     def copy(self) -> FrameGraph:
         """A graph of its own in the same state."""
@@ -61,13 +62,13 @@ class FrameGraph:
         if len(self.frames) < 2:
             return
         for _ in range(rounds):
-            information, right = self._normal()
-            step = np.linalg.solve(information, right).reshape(-1, 3)
+            rows, columns, values, right = self._normal()
+            step = spread_of(rows, columns, values, len(right)).solve(right).reshape(-1, 3)
             self.frames[1:] += step
             self.frames[:, 2] = wrap(self.frames[:, 2])
             if np.abs(step).max(initial=0.0) < tolerance:
                 break
-        self._covariance = None
+        self._spread = None
 
     def _linearised(self) -> tuple[np.ndarray, ...]:
         first = np.array([r.first for r in self.relations], dtype=np.int64)
@@ -90,31 +91,50 @@ class FrameGraph:
         _, _, residual, information, _, _ = self._linearised()
         return np.einsum("ri,rij,rj->r", residual, information, residual)
 
-    def _normal(self) -> tuple[np.ndarray, np.ndarray]:
+    def _normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Normal equations of all frames but the first: triplets of the matrix, which add up, and the right side."""
         first, second, residual, information, by_first, by_second = self._linearised()
         squared = np.einsum("ri,rij,rj->r", residual, information, residual)
-        weight = 1.0 / (1.0 + squared / CAUCHY)
-        weighed = information * weight[:, None, None]
-        count = 3 * len(self.frames)
-        matrix, right = np.zeros((count, count)), np.zeros(count)
-        offsets = np.arange(3)
+        weighed = information * (1.0 / (1.0 + squared / CAUCHY))[:, None, None]
+        right, offsets = np.zeros(3 * len(self.frames)), np.arange(3)
+        triplets = []
         for p, by_p in ((first, by_first), (second, by_second)):
             rows = 3 * p[:, None] + offsets
             half = np.swapaxes(by_p, 1, 2) @ weighed
             np.subtract.at(right, rows, np.einsum("rij,rj->ri", half, residual))
             for q, by_q in ((first, by_first), (second, by_second)):
                 columns = 3 * q[:, None] + offsets
-                np.add.at(matrix, (rows[:, :, None], columns[:, None, :]), half @ by_q)
-        return matrix[3:, 3:], right[3:]
+                block = half @ by_q
+                there = np.broadcast_arrays(rows[:, :, None], columns[:, None, :], block)
+                triplets.append(np.array([each.ravel() for each in there]))
+        rows_all, columns_all, values = np.concatenate(triplets, axis=1)
+        free = (rows_all >= 3) & (columns_all >= 3)
+        return (
+            rows_all[free].astype(np.int64) - 3,
+            columns_all[free].astype(np.int64) - 3,
+            values[free],
+            right[3:],
+        )
+
+    def spread(self) -> Spread:
+        """The covariance of the frames, of which there must be two at least."""
+        if self._spread is None:
+            rows, columns, values, right = self._normal()
+            self._spread = spread_of(rows, columns, values, len(right))
+        return self._spread
+
+    def own_covariances(self) -> np.ndarray:
+        """(n, 3, 3) of every frame; the first one is known."""
+        return self.spread().own() if len(self.frames) > 1 else np.zeros((1, 3, 3))
 
     def covariance(self) -> np.ndarray:
-        """(3 n, 3 n) of all frames; the first one is known."""
-        if self._covariance is None:
-            count = 3 * len(self.frames)
-            self._covariance = np.zeros((count, count))
-            if count > 3:
-                self._covariance[3:, 3:] = np.linalg.inv(self._normal()[0])
-        return self._covariance
+        """(3 n, 3 n) of all frames: O(n^2), for a few."""
+        count = len(self.frames)
+        whole = np.zeros((count, 3, count, 3))
+        for second in range(1, count):
+            for first in range(1, count):
+                whole[first, :, second] = self.spread().block(first, second)
+        return whole.reshape(3 * count, 3 * count)
 
     def between(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
         """T_first_second (3,) as it is thought to be, and its covariance (3, 3)."""
@@ -124,6 +144,10 @@ class FrameGraph:
         design = np.zeros((3, 6))
         design[:2, :2], design[:2, 3:5] = [[-c, -s], [s, -c]], [[c, s], [-s, c]]
         design[0, 2], design[1, 2], design[2, 2], design[2, 5] = way[1], -way[0], -1.0, 1.0
-        entries = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
-        block = self.covariance()[np.ix_(entries, entries)]
+        block = np.zeros((6, 6))
+        if first != second:
+            spread = self.spread()
+            block[:3, :3], block[3:, 3:] = spread.block(first, first), spread.block(second, second)
+            block[:3, 3:] = spread.block(first, second)
+            block[3:, :3] = block[:3, 3:].T
         return np.array([way[0], way[1], float(wrap(b[2] - a[2]))]), design @ block @ design.T

@@ -107,7 +107,7 @@ class Loops:
         }
         relations = [relation for relation in self.graph.relations if not relation.loop]
         for second in range(len(self.maps)):
-            for first in range(second):
+            for first in self._near(second):
                 if (first, second) in self.open or not np.isfinite(self._looseness(first, second)):
                     continue
                 guess, covariance = self.graph.between(first, second)
@@ -121,14 +121,15 @@ class Loops:
 
     def _seek(self, number: int) -> None:
         """Look for the map among all earlier ones, the surest places first; then ask those that were not believed."""
-        waiting = list(range(number))
+        looked: set[int] = set()
         doubted: list[tuple[int, Overlay]] = []
-        while waiting:
-            at = [self._looseness(i, number) for i in waiting]
-            best = int(np.argmin(at))
-            if not np.isfinite(at[best]):
+        while True:
+            waiting = [each for each in self._near(number) if each not in looked]
+            at = [self._looseness(each, number) for each in waiting]
+            if not np.isfinite(min(at, default=np.inf)):
                 break
-            first = waiting.pop(best)
+            first = waiting[int(np.argmin(at))]
+            looked.add(first)
             found, problem = self._lay(first, number)
             if found is not None and number == first + 1:
                 last = self.maps[first]
@@ -227,6 +228,15 @@ class Loops:
             for each, holds in zip(self.graph.relations, near)
             if each.loop and holds
         }
+
+    def _near(self, second: int) -> list[int]:
+        """The earlier maps that a map might touch, wherever in the largest search it lies."""
+        shapes = [each.shape for each in self.maps[: second + 1]]
+        frames = self.graph.frames[: second + 1]
+        centres = frames[:, :2] + rotate(frames[:, 2], np.array([shape.centre for shape in shapes]))
+        radii = np.array([shape.radius for shape in shapes])
+        apart = np.hypot(*(centres[:second] - centres[second]).T)
+        return np.flatnonzero(apart <= radii[:second] + radii[second] + WIDEST).tolist()
 
     def _looseness(self, first: int, second: int) -> float:
         """How unsure the place of one map on the other is, in m; infinite where they cannot touch."""

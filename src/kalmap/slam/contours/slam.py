@@ -272,8 +272,7 @@ class ContourSlam:
     def _placed(self, loops: Loops) -> tuple[np.ndarray, np.ndarray]:
         """Frames (n, 3) of all local maps and their covariances (n, 3, 3)."""
         count = len(loops.maps)
-        whole = loops.graph.covariance().reshape(-1, 3, loops.graph.covariance().shape[0] // 3, 3)
-        own = np.array([whole[k, :, k] for k in range(count)]).reshape(-1, 3, 3)
+        own = loops.graph.own_covariances()[:count]
         return composed(self._start, self._start_covariance, loops.graph.frames[:count], own)
 
     def _counts(self, loops: Loops) -> dict[str, float]:

@@ -131,4 +131,4 @@ def _placed(joined: Joined) -> Placed:
     count = len(joined.loops.maps)
     if not count:
         return Placed(0, np.zeros(3), np.zeros((3, 3)))
-    return Placed(count, graph.frames[-1].copy(), graph.covariance()[-3:, -3:].copy())
+    return Placed(count, graph.frames[-1].copy(), graph.own_covariances()[-1].copy())
