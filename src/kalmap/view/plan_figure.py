@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Pixels a metre that walls need to be judged by eye, and the bounds of what that may make of a picture.
-_PER_METRE, _LEAST_DPI, _MOST_DPI = 80.0, 240.0, 330.0
+_PER_METRE, _LEAST_DPI, _MOST_DPI = 80.0, 300.0, 330.0
 _UNKNOWN_SHADE, _FREE_SHADE, _OCCUPIED_SHADE = "#e9edf2", "#ffffff", "#a9bad0"
 _SAMPLES_SHOWN, _POSES_SHOWN = 60, 12
 _THICK = 0.05  # m, how thick a contour may be drawn

@@ -81,11 +81,7 @@ class Sparse:
             return np.zeros((3, 3))
         if first == second:
             return np.asarray(self.own()[first])
-        if second not in self._columns:
-            unit = np.zeros((self._factor.n, 3))
-            unit[3 * second - 3 : 3 * second] = np.eye(3)
-            self._columns[second] = self._factor.solve(unit)
-        return self._columns[second][3 * first - 3 : 3 * first].copy()
+        return self._column(second)[3 * first - 3 : 3 * first].copy()
 
     def own(self) -> np.ndarray:
         """See `Spread`."""
@@ -93,6 +89,18 @@ class Sparse:
             entries = np.arange(self._factor.n).reshape(-1, 3)
             low, high = np.broadcast_arrays(entries[:, :, None], entries[:, None, :])
             rows, columns = np.minimum(low, high).ravel(), np.maximum(low, high).ravel()
-            blocks = self._factor.inverse_entries(rows, columns).reshape(-1, 3, 3)
+            try:
+                blocks = self._factor.inverse_entries(rows, columns).reshape(-1, 3, 3)
+            except ValueError:  # not every factor keeps all entries of the matrix: by columns, then
+                count = self._factor.n // 3
+                blocks = np.array([self._column(k)[3 * k - 3 : 3 * k] for k in range(1, count + 1)])
             self._own = np.concatenate([np.zeros((1, 3, 3)), blocks])
         return self._own
+
+    def _column(self, frame: int) -> np.ndarray:
+        """(3 n, 3) of the covariance."""
+        if frame not in self._columns:
+            unit = np.zeros((self._factor.n, 3))
+            unit[3 * frame - 3 : 3 * frame] = np.eye(3)
+            self._columns[frame] = self._factor.solve(unit)
+        return self._columns[frame]
