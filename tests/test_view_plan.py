@@ -169,6 +169,10 @@ def test_every_map_can_be_drawn(change):
     )
     for figure in (plan_figure(run), close_up_figure(run)):
         figure.canvas.draw()
+        image = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
+        assert (
+            image.shape[0] > 500 and (image[..., :3] < 128).any() and np.isfinite(figure.axes[0].axis()).all()
+        )
 
 
 def test_a_run_of_contours_has_a_plan_and_one_of_landmarks_a_map():

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import threading
-
 import msgspec
 import numpy as np
 
@@ -13,8 +9,8 @@ from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.leg import Leg
 from kalmap.slam.contours.live import LiveMap, prepare
 from kalmap.slam.contours.loops import Loops
+from kalmap.slam.in_order import InOrder
 
-_NICENESS = 10
 LEAST_FOUND = 10  # samples that a scan must find to be laid on a map once more
 STRAY = np.diag(
     [0.03**2, 0.03**2, np.radians(1.0) ** 2]
@@ -80,50 +76,24 @@ class Worker:
 
     def __init__(self, joined: Joined, background: bool) -> None:
         self._joined, self._background = joined, background
-        self._waiting: list[tuple[LiveMap, Leg]] = []
-        self._lock, self._idle = threading.Lock(), threading.Event()
-        self._idle.set()
-        self._problem: Exception | None = None
+        self._thread: InOrder[tuple[LiveMap, Leg]] = InOrder(lambda each: joined.close(*each), self._look)
         self.placed = _placed(joined)
 
     def close(self, live: LiveMap, leg: Leg) -> None:
         """Hand over a local map that is finished; it must not be changed any more."""
-        self._raise()
-        if not self._background:
-            self._joined.close(live, leg)
-            self.placed = _placed(self._joined)
+        if self._background:
+            self._thread.hand((live, leg))
             return
-        with self._lock:
-            self._waiting.append((live, leg))
-            resting = self._idle.is_set()
-            self._idle.clear()
-        if resting:
-            threading.Thread(target=self._work, name="kalmap-loops", daemon=True).start()
+        self._joined.close(live, leg)
+        self._look()
 
     def settled(self) -> Joined:
         """All that was handed over, done."""
-        self._idle.wait()
-        self._raise()
+        self._thread.wait()
         return self._joined
 
-    def _raise(self) -> None:
-        if self._problem is not None:
-            raise self._problem
-
-    def _work(self) -> None:
-        with contextlib.suppress(OSError, AttributeError):  # a system without priorities has none to lower
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
-        while True:
-            with self._lock:
-                if not self._waiting or self._problem is not None:
-                    self._idle.set()
-                    return
-                live, leg = self._waiting.pop(0)
-            try:
-                self._joined.close(live, leg)
-                self.placed = _placed(self._joined)
-            except Exception as problem:
-                self._problem = problem
+    def _look(self) -> None:
+        self.placed = _placed(self._joined)
 
 
 def _placed(joined: Joined) -> Placed:
