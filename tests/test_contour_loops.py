@@ -78,11 +78,11 @@ def test_a_true_loop_is_found():
 
 
 def test_two_rooms_that_are_the_same_are_not_confused():
-    """The way to the second is known to 2 m, so that either could be meant: left open or told apart."""
+    """The way to the second is known to 1 m, so that either could be meant: left open or told apart."""
     other, told = moved(ROOM, 6.3, 0.0), []
     for seed in range(8):
         places = [([*ROOM, *other], [3.0, 2.0, 0.1]), AWAY, (other, [9.3, 2.0, 0.1])]
-        loops, frames = driven(places, sigma=2.0, turn=0.05, seed=seed)
+        loops, frames = driven(places, sigma=0.7, turn=0.03, seed=seed)
         off, _ = errors(loops, frames)
         assert (0, 2) not in pairs(loops) or off[2] < 0.1
         told.append("loop" if (0, 2) in pairs(loops) else loops.open.get((0, 2), "nothing found"))

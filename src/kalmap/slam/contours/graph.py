@@ -57,12 +57,15 @@ class FrameGraph:
         other.frames, other.relations = self.frames.copy(), list(self.relations)
         return other
 
-    def solve(self, rounds: int = 10, tolerance: float = 1e-7) -> None:
-        """Move the frames to where the relations want them; one alone, or none, stays where it is."""
+    def solve(self, rounds: int = 10, tolerance: float = 1e-7, robust: bool = True) -> None:
+        """Move the frames to where the relations want them; one alone, or none, stays where it is.
+
+        robust: whether relations that are far off are weighed down, which holds frames that have far to go.
+        """
         if len(self.frames) < 2:
             return
         for _ in range(rounds):
-            rows, columns, values, right = self._normal()
+            rows, columns, values, right = self._normal(robust)
             step = spread_of(rows, columns, values, len(right)).solve(right).reshape(-1, 3)
             self.frames[1:] += step
             self.frames[:, 2] = wrap(self.frames[:, 2])
@@ -91,11 +94,12 @@ class FrameGraph:
         _, _, residual, information, _, _ = self._linearised()
         return np.einsum("ri,rij,rj->r", residual, information, residual)
 
-    def _normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _normal(self, robust: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Normal equations of all frames but the first: triplets of the matrix, which add up, and the right side."""
         first, second, residual, information, by_first, by_second = self._linearised()
         squared = np.einsum("ri,rij,rj->r", residual, information, residual)
-        weighed = information * (1.0 / (1.0 + squared / CAUCHY))[:, None, None]
+        weights = 1.0 / (1.0 + squared / CAUCHY) if robust else np.ones(len(squared))
+        weighed = information * weights[:, None, None]
         right, offsets = np.zeros(3 * len(self.frames)), np.arange(3)
         triplets = []
         for p, by_p in ((first, by_first), (second, by_second)):

@@ -9,6 +9,8 @@ from kalmap.geometry.se2 import compose, rotate
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.graph import FrameGraph, Relation
 from kalmap.slam.contours.matching import Overlay, overlay, search
+from kalmap.slam.contours.wider import RECENT, Glimpse, Wider
+from kalmap.slam.contours.witness import Witness
 
 GATE = 16.3  # squared distance of three numbers that chance exceeds once in a thousand
 LEAST_MATCHED = 8.0  # m of contour that must lie on each other
@@ -39,6 +41,7 @@ class Loops:
         self.graph = FrameGraph()
         self.open: dict[tuple[int, int], str] = {}
         self.searched = 0
+        self.wider = Wider()
         self._misfits: list[float] = []
 
     def copy(self) -> Loops:
@@ -46,12 +49,13 @@ class Loops:
         other = Loops()
         other.maps, other.graph, other.open = list(self.maps), self.graph.copy(), dict(self.open)
         other.searched, other._misfits = self.searched, list(self._misfits)
+        other.wider = self.wider.copy()
         return other
 
-    def close(self, closed: ClosedMap) -> None:
+    def close(self, closed: ClosedMap, witness: Witness | None = None) -> None:
         """Take a map that has been closed, and look for its loops."""
         self.append(closed)
-        self.seek()
+        self.seek(witness)
 
     def append(self, closed: ClosedMap) -> None:
         """Take a map that has been closed: it begins where the last one ends."""
@@ -60,9 +64,15 @@ class Loops:
             self.graph.append(last.end, self.scale * (last.end_covariance + FLOOR))
         self.maps.append(closed)
 
-    def seek(self) -> None:
-        """Look for the newest map among all others."""
-        self._seek(len(self.maps) - 1)
+    def seek(self, witness: Witness | None = None) -> None:
+        """Look for the newest map among all others. witness: the scans behind all maps, if there are any."""
+        number = len(self.maps) - 1
+        self._seek(number, set())
+        self.wider.look(self.maps, number, self._lost(number), witness)
+        agreed = self.wider.agreed(self.graph, self.scale)
+        if agreed and self._closed(agreed):
+            for each in agreed:
+                self._seek(each.second, self._related(each.second))
 
     def give_up(self, graph: FrameGraph, problem: str) -> None:
         """Go back to a graph from before the newest map was looked for, which could not be done."""
@@ -119,9 +129,51 @@ class Loops:
                     known[first, second] = Relation(first, second, found.pose, information, loop=True)
         self.graph.replace([*relations, *(known[pair] for pair in sorted(known))])
 
-    def _seek(self, number: int) -> None:
-        """Look for the map among all earlier ones, the surest places first; then ask those that were not believed."""
-        looked: set[int] = set()
+    def _lost(self, number: int) -> np.ndarray:
+        """The earlier maps on which the drive does not know the place of a map within what is searched about it."""
+        return np.array(
+            [first for first in range(number) if _is_lost(self.graph.between(first, number)[1])],
+            dtype=np.int64,
+        )
+
+    def _related(self, number: int) -> set[int]:
+        """The earlier maps that a map is tied to, and the one before it."""
+        return {each.first for each in self.graph.relations if each.second == number} | {number - 1}
+
+    def _closed(self, agreed: list[Glimpse]) -> bool:
+        """Believe places that were found by their looks, all or none: what was believed before must still hold."""
+        before, kept, held = self.graph.copy(), dict(self.open), self._held()
+        for each in agreed:
+            self.open.pop((each.first, each.second), None)
+            self.graph.add(self._loop(each.first, each.second, each.found))
+        self.graph.solve(30, robust=False)
+        self.graph.solve(30)
+        holds = held | {(each.first, each.second) for each in agreed} <= self._held()
+        if holds and not self._contradicted(agreed):
+            self.wider.glimpses.clear()
+            return True
+        self.graph, self.open = before, kept
+        return False
+
+    def _contradicted(self, agreed: list[Glimpse]) -> bool:
+        """Whether the maps in a row that places were found for, laid on all that they touch, show something else."""
+        row = range(min(each.second for each in agreed), max(each.second for each in agreed) + 1)
+        matched = beside = 0.0
+        for second in row:
+            for first in self._near(second):
+                if first > second - RECENT:
+                    continue
+                found = overlay(self.maps[first], self.maps[second], self.graph.between(first, second)[0])
+                if found is None or found.matched < found.agreement * LEAST_MATCHED:
+                    continue
+                if found.agreement < LEAST_AGREEMENT:
+                    return True
+                matched, beside = matched + found.matched, beside + found.matched / found.agreement
+        return matched < TRIED_AGREEMENT * beside
+
+    def _seek(self, number: int, looked: set[int]) -> None:
+        """Look for the map among all earlier ones but those that were looked at, the surest places first; then ask
+        those that were not believed."""
         doubted: list[tuple[int, Overlay]] = []
         while True:
             waiting = [each for each in self._near(number) if each not in looked]
@@ -147,9 +199,12 @@ class Loops:
     def _believe(self, first: int, second: int, found: Overlay) -> None:
         """Take a loop as true, and move the frames."""
         self.open.pop((first, second), None)
-        information = np.linalg.inv(self.scale * (found.covariance + FLOOR))
-        self.graph.add(Relation(first, second, found.pose, information, loop=True))
+        self.graph.add(self._loop(first, second, found))
         self.graph.solve()
+
+    def _loop(self, first: int, second: int, found: Overlay) -> Relation:
+        information = np.linalg.inv(self.scale * (found.covariance + FLOOR))
+        return Relation(first, second, found.pose, information, loop=True)
 
     def _vote(self, number: int, doubted: list[tuple[int, Overlay]]) -> None:
         """Believe places that contradict the drive but not each other: then it is the drive that is wrong.
@@ -239,8 +294,13 @@ class Loops:
         return np.flatnonzero(apart <= radii[:second] + radii[second] + WIDEST).tolist()
 
     def _looseness(self, first: int, second: int) -> float:
-        """How unsure the place of one map on the other is, in m; infinite where they cannot touch."""
+        """How unsure the place of one map on the other is, in m.
+
+        Infinite where they cannot touch, and where it is more than is searched: what is found may be elsewhere, too.
+        """
         pose, covariance = self.graph.between(first, second)
+        if _is_lost(covariance):
+            return np.inf
         a, b = self.maps[first].shape, self.maps[second].shape
         spread = 3.0 * float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
         centre = pose[:2] + rotate(pose[2], b.centre)
@@ -282,6 +342,12 @@ class Loops:
             return None  # the odometry jumped, or the wheels slipped: both maps show the same place
         squared = _distance(best, guess, covariance, self.scale)
         return f"{CONTRADICTS}: squared distance {squared:.0f}" if squared > GATE else None
+
+
+def _is_lost(covariance: np.ndarray) -> bool:
+    """Whether a place (3, 3) may be farther off than is searched."""
+    wide = 9.0 * max(covariance[0, 0], covariance[1, 1]) > WIDEST**2
+    return bool(wide or 9.0 * covariance[2, 2] > FARTHEST_TURN**2)
 
 
 def _distance(found: Overlay, guess: np.ndarray, covariance: np.ndarray, scale: float = 1.0) -> float:

@@ -37,8 +37,13 @@ class Overlay(msgspec.Struct, frozen=True):
     freedom: int
 
 
-def overlay(first: ClosedMap, second: ClosedMap, guess: np.ndarray) -> Overlay | None:
-    """Lay `second` over `first` from where it is thought to be; None where they have nothing to be laid on."""
+def overlay(
+    first: ClosedMap, second: ClosedMap, guess: np.ndarray, least: tuple[float, float] = (2.0, 0.0)
+) -> Overlay | None:
+    """Lay `second` over `first` from where it is thought to be; None where they have nothing to be laid on.
+
+    least: m of contour that must match, and the share that must agree: less is none, and costs no covariance.
+    """
     a, b = first.shape, second.shape
     pose = np.array(guess, dtype=float)
     beside, offsets = np.full(len(b.points), -1, dtype=np.int64), np.zeros(len(b.points))
@@ -46,7 +51,7 @@ def overlay(first: ClosedMap, second: ClosedMap, guess: np.ndarray) -> Overlay |
         pose, b.points, b.point_normals, a.segments, a.normals, a.nearest, a.low, CELL, LIMITS, ROUNDS, SIGMA,
         beside, offsets,
     )  # fmt: skip
-    if matched < 20:
+    if matched < max(20, 10.0 * least[0]) or matched < least[1] * near:
         return None
     pose[2] = wrap(pose[2])
     rows = np.flatnonzero(beside >= 0)

@@ -34,6 +34,7 @@ from kalmap.slam.contours.leg import OpenLeg, composed
 from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
 from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
+from kalmap.slam.contours.witness import Witness
 from kalmap.slam.contours.worker import Joined, Placed, Worker, closed, relaid
 from kalmap.slam.engines import BadSampleError
 from kalmap.slam.window import Revisions
@@ -243,8 +244,8 @@ class ContourSlam:
         joined = self._worker.settled()
         loops, legs = joined.loops.copy(), list(joined.legs)
         if self._live.scans:
-            loops.close(closed(self._live))
             legs.append(relaid(self._live, self._leg.leg()))
+            loops.close(closed(self._live), Witness(legs, self.rules))
         loops.finish()
         frames, covariances = self._placed(loops)
         trajectory = whole_trajectory(legs, frames, covariances)

@@ -9,6 +9,7 @@ from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.leg import Leg
 from kalmap.slam.contours.live import LiveMap, prepare
 from kalmap.slam.contours.loops import Loops
+from kalmap.slam.contours.witness import Witness
 from kalmap.slam.in_order import InOrder
 
 LEAST_FOUND = 10  # samples that a scan must find to be laid on a map once more
@@ -18,10 +19,11 @@ STRAY = np.diag(
 
 
 class Joined(msgspec.Struct):
-    """All closed maps: their loops, and the legs of the drive that they cover."""
+    """All closed maps: their loops, the legs of the drive that they cover, and what these can be asked."""
 
     loops: Loops
     legs: list[Leg]
+    witness: Witness | None = None
 
     def close(self, live: LiveMap, leg: Leg) -> None:
         """Take a local map that has been closed, and the scans that it was made from.
@@ -33,7 +35,8 @@ class Joined(msgspec.Struct):
         graph = self.loops.graph.copy()
         try:
             self.legs[-1] = relaid(live, leg)
-            self.loops.seek()
+            self.witness = self.witness or Witness(self.legs, live.rules)
+            self.loops.seek(self.witness)
         except (ArithmeticError, ValueError) as problem:  # not positive definite, or singular
             self.loops.give_up(graph, str(problem))
 
