@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
 from contour_scans import FULL, LASER, room, scan_of
 from kalmap.perception import CutConfig, cut_scan
-from kalmap.records import ConfigError, EventError, Scan, SensorConfig
-from kalmap.simulate.raycast import URG
+from kalmap.records import ConfigError, EventError, Scan
 
 
 def finite(pieces):
@@ -106,19 +103,3 @@ def test_what_does_not_fit_is_refused():
     for wrong in ({"split_cost": 0.0}, {"roughness": -1.0}, {"min_points": 2}, {"max_order": 4}):
         with pytest.raises(ConfigError):
             CutConfig(**wrong)
-
-
-def test_a_scan_is_cut_in_a_fraction_of_its_period():
-    """The best of 30 times on one core, cluttered room; the aims are 0.3 ms for 180 beams and 1 ms for 683."""
-    rng = np.random.default_rng(9)
-    circles = np.column_stack([rng.uniform(-3, 4, 12), rng.uniform(-2, 3, 12), rng.uniform(0.05, 0.4, 12)])
-    circles = circles[np.hypot(*circles[:, :2].T) > 0.8]
-    for bearings, limit in ((np.deg2rad(np.arange(-90.0, 90.0)), 0.3e-3), (URG.bearings, 1e-3)):
-        scan = scan_of(walls=room(-3, -2, 4, 3), circles=circles, bearings=bearings, rng=rng)
-        sensor = SensorConfig(sigma_range=0.01, max_range=80.0)
-        best = np.inf
-        for _ in range(30):
-            start = time.perf_counter()
-            cut_scan(scan, sensor)
-            best = min(best, time.perf_counter() - start)
-        assert best < limit
