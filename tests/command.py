@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 COMMAND = [sys.executable, "-m", "kalmap"]
 CORES = 2
@@ -72,16 +73,20 @@ def kalmap_inside(*words: object) -> Answer:
     """The command in this process: everything but a fresh interpreter, for where many calls would each pay for one."""
     from kalmap.cli.main import main
 
-    out, err, before, code = io.StringIO(), io.StringIO(), sys.argv, 0
-    sys.argv = ["kalmap", *map(str, words)]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    said = patch.object(sys, "argv", ["kalmap", *map(str, words)])
+    alone = patch.dict(os.environ, environment(), clear=True)
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with said, alone, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             main()
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 0
-    finally:
-        sys.argv = before
     return Answer(code, out.getvalue(), err.getvalue())
+
+
+def kalmap_all_inside(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:
+    """Several command lines by name, one after the other in this process."""
+    return {name: kalmap_inside(*words) for name, words in calls.items()}
 
 
 def kalmap_all(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:
