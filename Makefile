@@ -2,8 +2,13 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# As many processes as cores, each with one thread for linear algebra; PARALLEL= runs the tests in one process.
+# Bytecode is written even where the environment forbids it: every process would compile all of the tests again.
+PARALLEL ?= -n logical --maxprocesses 8 --dist worksteal
+ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
+PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL)
 
-.PHONY: demo test test-slow lint bench bench-peers clean
+.PHONY: demo test test-slow test-all lint bench bench-peers clean
 
 $(VENV)/.ready: pyproject.toml src/kalmap/_version.py
 	@test -d $(VENV) || $(PYTHON) -m venv $(VENV) || { \
@@ -16,11 +21,15 @@ demo: $(VENV)/.ready
 	$(BIN)/kalmap demo --out kalmap-demo
 
 test: $(VENV)/.ready
-	$(BIN)/python -m pytest -q -m "not slow"
+	$(PYTEST) -m "not slow"
 
 # The long Monte Carlo checks; KALMAP_SLOW_SEEDS says how many seeds each takes.
 test-slow: $(VENV)/.ready
-	$(BIN)/python -m pytest -q -m slow
+	$(PYTEST) -m slow
+
+# Both in one go, so that no core waits while the last long one ends.
+test-all: $(VENV)/.ready
+	$(PYTEST)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check src tests benchmarks

@@ -16,14 +16,17 @@ import numpy as np  # isort: skip
 
 from kalmap import run, slam_from_config
 from kalmap.evaluation import evaluate, pose_nees, score_pairs
-from kalmap.records import AssociationConfig, FiniteSetConfig
+from kalmap.perception import cut_scan
+from kalmap.records import AssociationConfig, FiniteSetConfig, Scan, SensorConfig
 from kalmap.simulate import simulate, world_by_name
+from kalmap.simulate.raycast import URG, cast
 from kalmap.slam.run import warm_up
 
 SLOPE, BLAS_RATIO, BUFFERS = 2.4, 2.5, 1.3
 STEP_SHARE = 0.1  # of n^2 doubles: what a step may allocate at n = 2,003
 DJNN_US, DJNN_F1, DJNN_FEATURES = 250.0, 0.9, 400.0  # a frame at 300 landmarks; djnn-10 with the defaults
 SET_MS, SET_POSITION, SET_OFF = 4.0, 2.5, 4.0  # a frame of phd-1 by pmb with five particles
+CUT_MS = {180: 0.3, 683: 1.0}  # a scan of so many beams in a cluttered room, cut into pieces of contour
 MS_PER_SCAN, POSITION_M, FEATURES_M, NEES = 1.0, 12.0, 8.0, 12.0  # course-35, the default filter
 
 
@@ -83,6 +86,22 @@ def phd_1() -> dict[str, float]:
     }
 
 
+def cut_ms(bearings: np.ndarray) -> float:
+    """Cutting a scan of a cluttered room: CPU ms, the best of 30 times."""
+    rng = np.random.default_rng(9)
+    circles = np.column_stack([rng.uniform(-3, 4, 12), rng.uniform(-2, 3, 12), rng.uniform(0.05, 0.4, 12)])
+    circles = circles[np.hypot(*circles[:, :2].T) > 0.8]
+    walls = np.array([[-3, -2, 4, -2], [4, -2, 4, 3], [4, 3, -3, 3], [-3, 3, -3, -2]], dtype=float)
+    ranges = cast(np.zeros((1, 3)), circles, bearings, 80.0, segments=walls)[0]
+    scan = Scan(0.0, ranges + 0.01 * rng.standard_normal(len(ranges)), bearings)
+    best = np.inf
+    for _ in range(30):
+        begin = time.process_time()
+        cut_scan(scan, SensorConfig(sigma_range=0.01, max_range=80.0))
+        best = min(best, time.process_time() - begin)
+    return 1e3 * best
+
+
 def checks() -> list[tuple[str, float, float]]:
     """(what, measured, at most)."""
     scaling.Course(100, "cr-cdkf").timed(5)  # compiles
@@ -93,6 +112,7 @@ def checks() -> list[tuple[str, float, float]]:
     grown = scaling.map_memory(1003, "cr-cdkf")
     paper = djnn_10()
     sets = phd_1()
+    cuts = {len(each): cut_ms(each) for each in (np.deg2rad(np.arange(-90.0, 90.0)), URG.bearings)}
     frame = association.measure((300,), 100, 3, ("djnn",))[0]
     return [
         ("DJNN at 300 landmarks, us a frame", frame["median_us"], DJNN_US),
@@ -108,6 +128,7 @@ def checks() -> list[tuple[str, float, float]]:
         ("course-35, position m", run["position"], POSITION_M),
         ("course-35, features m", run["features"], FEATURES_M),
         ("course-35, NEES (3 is right)", run["nees"], NEES),
+        *((f"a scan of {beams} beams cut into pieces, CPU ms", cuts[beams], CUT_MS[beams]) for beams in cuts),
         ("phd-1, pmb with 5 particles, CPU ms a frame", sets["ms"], SET_MS),
         ("phd-1, pmb, position m", sets["position"], SET_POSITION),
         ("phd-1, pmb, features too many or too few (39 are real)", sets["off"], SET_OFF),

@@ -13,9 +13,12 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 COMMAND = [sys.executable, "-m", "kalmap"]
 CORES = 2
+HANGS = 600.0
+"""s: longer than to compile everything for the first time on a core that several processes share."""
 
 ODOMETRY = ["0.0,1.0,0.0", "0.1,1.0,0.02", "0.2,1.1,0.02", "0.3,1.0,-0.01", "0.4,1.0,0.0", "0.5,1.0,0.0"]
 SIGHTINGS = ["0.05,4.0,0.3,7", "0.05,9.1,-0.8,9", "0.15,3.9,0.31,7", "0.25,3.8,0.31,7", "0.45,8.7,-0.83,9"]
@@ -60,7 +63,7 @@ def kalmap(*words: object, cwd: Path | None = None) -> Answer:
     """The command, run to its end."""
     process = start(*words, cwd=cwd)
     try:
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=HANGS)
     finally:
         process.kill()
     return Answer(process.returncode, out, err)
@@ -70,16 +73,20 @@ def kalmap_inside(*words: object) -> Answer:
     """The command in this process: everything but a fresh interpreter, for where many calls would each pay for one."""
     from kalmap.cli.main import main
 
-    out, err, before, code = io.StringIO(), io.StringIO(), sys.argv, 0
-    sys.argv = ["kalmap", *map(str, words)]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    said = patch.object(sys, "argv", ["kalmap", *map(str, words)])
+    alone = patch.dict(os.environ, environment(), clear=True)
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with said, alone, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             main()
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 0
-    finally:
-        sys.argv = before
     return Answer(code, out.getvalue(), err.getvalue())
+
+
+def kalmap_all_inside(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:
+    """Several command lines by name, one after the other in this process."""
+    return {name: kalmap_inside(*words) for name, words in calls.items()}
 
 
 def kalmap_all(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:

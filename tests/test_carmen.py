@@ -13,7 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from kalmap.data import check_log, open_log, read_relations
+from kalmap.data import check_log, open_log, read_relations, reader_notes
 from kalmap.data.carmen import read_carmen
 from kalmap.records import LogError
 from laser_files import flaser, increment, odom, pairs, spelt, write
@@ -111,6 +111,22 @@ def test_rawlaser_takes_the_pose_from_the_odometry_lines(tmp_path):
     assert any("left out" in finding.what for finding in check_log(log).findings)
     with pytest.raises(LogError, match="no odometry"):
         open_log(write(tmp_path / "b.log", [raw(1.0)]))
+
+
+def test_rawlaser_tells_where_the_odometry_lines_stop(tmp_path):
+    """Oracle: which scans lie between the two lines that are 3 s apart."""
+
+    def raw(time):
+        return f"RAWLASER1 0 -1.5 3.0 0.1 80.0 0.01 0 2 1.0 2.0 0 {time!r} host {time!r}"
+
+    times = [10.0 + k / 5 for k in range(40)]
+    lines = [odom((t / 10, 0.0, 0.0), t) for t in times if not 12.0 < t < 15.0] + [raw(t) for t in times]
+    log = open_log(write(tmp_path / "a.log", lines))
+    (note,) = reader_notes(log)
+    assert str(tmp_path / "a.log") in note and "3 s from 12 s to 15 s" in note
+    moves, scans = pairs(log)
+    assert [scan.time for scan in scans] == [t for t in times if not 12.0 < t < 15.0]
+    assert [scan.time for move, scan in zip(moves, scans) if move.covariance is not None] == [15.0]
 
 
 def test_the_mounting_is_the_parameter_or_else_the_poses(tmp_path):

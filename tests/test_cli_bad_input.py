@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from command import ODOMETRY, SIGHTINGS, changed, kalmap, kalmap_all, manifest, times, write_log
+from command import (
+    ODOMETRY,
+    SIGHTINGS,
+    changed,
+    kalmap,
+    kalmap_all_inside,
+    manifest,
+    times,
+    write_log,
+)
 
 TIMED = ["0.1,0.1,1.0,0.0", "0.2,0.1,1.0,0.0", "0.3,0.1,1.0,0.0"]
 NOISY = [f"{row},0.01,0.0003,0" for row in SIGHTINGS]
@@ -87,7 +96,7 @@ def runs(tmp_path_factory):
     for number, (name, (log, *_)) in enumerate(ALL.items()):
         folder = write(root / f"log-{number}", **log)
         calls[name] = ["run", folder, "--no-figures", "--quiet", "--out", root / f"out-{number}"]
-    return kalmap_all(calls), root
+    return kalmap_all_inside(calls), root
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -182,7 +191,7 @@ def test_matlab_files_that_are_missing_cut_or_wrong(tmp_path):
     (logs["cut"] / sightings).write_bytes(whole[: len(whole) // 2])
     (logs["noise"] / sightings).write_bytes(bytes(range(256)) * 4)
     options = ["--no-figures", "--quiet", "--out"]
-    answers = kalmap_all(
+    answers = kalmap_all_inside(
         {name: ["run", log, *options, tmp_path / f"out-{name}"] for name, log in logs.items()}
     )
     assert answers.pop("good") == (0, "", "")
@@ -204,7 +213,7 @@ def test_a_start_that_is_no_covariance_and_a_header_that_is_none(tmp_path):
     logs = {name: write_log(tmp_path / name, **header) for name, header in headers.items()}
     calls = {name: ["run", log, "--out", tmp_path / "out"] for name, log in logs.items()}
     calls["compared"] = ["compare", logs["indefinite"], "--methods", "ekf,ckf", "--out", tmp_path / "both"]
-    answers = kalmap_all(calls)
+    answers = kalmap_all_inside(calls)
     assert {answer.code for answer in answers.values()} == {2}
     place = "log.json, field start_covariance: "
     assert place + "is not positive semi-definite" in answers["indefinite"].error

@@ -270,3 +270,23 @@ def test_a_bare_corridor_says_what_it_does_not_know(tmp_path):
     assert metrics["local_maps_loose"] == metrics["local_maps"] > 3
     words = "along one direction no better than its odometry does"
     assert words in answer.err and words in (out / "report.html").read_text()
+
+
+def test_a_covered_scanner_and_torn_scans_are_told_where_people_look(tmp_path):
+    """On the error stream and in the report: the beams left out, and that the ranges lie on no contour."""
+    from kalmap.simulate import simulate, with_bad_ranges, with_cover, world_by_name
+
+    spoilt = with_cover(with_bad_ranges(simulate(world_by_name("office"), 2), 0.65, 2), 70.0, 85.0, 0.3, 1)
+    lines = [
+        flaser(np.where(np.isfinite(event.ranges), event.ranges, 0.0), pose, round(now, 6))
+        for now, pose, event in poses_of(spoilt, 200)
+    ]
+    out = tmp_path / "out"
+    answer = kalmap_inside("run", write(tmp_path / "spoilt.log", lines), "--out", out)
+    page, metrics = (out / "report.html").read_text(), finished(out)
+    assert answer.code == 0 and metrics["ranges_on_contours_share"] < 0.75
+    for words in (
+        "16 of 180 beams (at 70 to 85 deg) stay at 0.30 to 0.30 m",
+        "of the ranges lie on no contour",
+    ):
+        assert words in answer.err and words in page

@@ -9,7 +9,17 @@ import time
 
 import pytest
 
-from command import ODOMETRY, SIGHTINGS, kalmap, kalmap_all, manifest, start, times, write_log
+from command import (
+    ODOMETRY,
+    SIGHTINGS,
+    kalmap,
+    kalmap_all,
+    kalmap_all_inside,
+    manifest,
+    start,
+    times,
+    write_log,
+)
 from kalmap.data.native_map import read_map_file
 
 SHORT = ["--set", "world.laps=1"]
@@ -84,7 +94,7 @@ def odd(tmp_path_factory):
     for number, (name, (log, options, *_)) in enumerate(LOGS.items()):
         folder = write_log(root / f"log-{number}", **log)
         calls[name] = ["run", folder, *options, "--no-figures", "--quiet", "--out", root / f"out-{number}"]
-    return kalmap_all(calls), root
+    return kalmap_all_inside(calls), root
 
 
 @pytest.mark.parametrize("name", LOGS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from command import kalmap_all, write_log
+from command import kalmap_all_inside, write_log
 
 C = "course-35"
 
@@ -87,7 +87,7 @@ def answers(place):
     calls = {
         name: [*words, *(["--out", place / "new"] * (words[0] != "check"))] for name, words in calls.items()
     }
-    return kalmap_all(calls | {name: ["run", C, "--out", place / name] for name in FOLDERS})
+    return kalmap_all_inside(calls | {name: ["run", C, "--out", place / name] for name in FOLDERS})
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from command import kalmap, kalmap_all
+from command import kalmap, kalmap_all_inside
 from kalmap.data import write_audit
 from kalmap.data.audit import AUDIT
 from kalmap.records import Managed, Reason
@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def answers(folder, tmp_path_factory):
-    """All command lines, two at a time."""
+    """All command lines, in this process."""
     pictures = tmp_path_factory.mktemp("pictures")
     calls = {
         "summary": [],
@@ -71,7 +71,7 @@ def answers(folder, tmp_path_factory):
     calls = {name: ["why", folder, *words] for name, words in calls.items()}
     calls |= {"file": ["why", folder / AUDIT, "--frame", 401], "missing": ["why", folder / "none"]}
     calls |= {"above": ["why", folder.parent], "not one": ["why", __file__], "nothing named": ["why"]}
-    return kalmap_all(calls) | {"pictures": pictures}
+    return kalmap_all_inside(calls) | {"pictures": pictures}
 
 
 def rows(text: str, first: str) -> list[list[str]]:

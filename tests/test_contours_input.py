@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
 from contour_scans import FULL, LASER, room, scan_of
-from kalmap.perception import CutConfig, cut_scan
-from kalmap.records import ConfigError, EventError, Scan, SensorConfig
-from kalmap.simulate.raycast import URG
+from kalmap.perception import CutConfig, cut_scan, share_on_contours
+from kalmap.records import ConfigError, EventError, Scan
+from kalmap.simulate import simulate, with_bad_ranges, world_by_name
+from kalmap.view import contour_warnings
 
 
 def finite(pieces):
@@ -108,17 +107,27 @@ def test_what_does_not_fit_is_refused():
             CutConfig(**wrong)
 
 
-def test_a_scan_is_cut_in_a_fraction_of_its_period():
-    """The best of 30 times on one core, cluttered room; the aims are 0.3 ms for 180 beams and 1 ms for 683."""
-    rng = np.random.default_rng(9)
-    circles = np.column_stack([rng.uniform(-3, 4, 12), rng.uniform(-2, 3, 12), rng.uniform(0.05, 0.4, 12)])
-    circles = circles[np.hypot(*circles[:, :2].T) > 0.8]
-    for bearings, limit in ((np.deg2rad(np.arange(-90.0, 90.0)), 0.3e-3), (URG.bearings, 1e-3)):
-        scan = scan_of(walls=room(-3, -2, 4, 3), circles=circles, bearings=bearings, rng=rng)
-        sensor = SensorConfig(sigma_range=0.01, max_range=80.0)
-        best = np.inf
-        for _ in range(30):
-            start = time.perf_counter()
-            cut_scan(scan, sensor)
-            best = min(best, time.perf_counter() - start)
-        assert best < limit
+def test_the_share_of_ranges_on_contours():
+    """Oracle: how many beams end on a wall, the others anywhere between 1 and 9 m behind a half circle of wall."""
+    rng = np.random.default_rng(8)
+    angles = np.deg2rad(np.arange(-90.0, 90.0))
+    scans = []
+    for walls in rng.permutation(np.repeat([180, 150, 90], 4)).tolist():
+        ranges = np.where(np.arange(180) < walls, 5.0, rng.uniform(1.0, 9.0, 180))
+        scans.append(Scan(0.0, ranges, angles))
+    assert share_on_contours(scans, LASER) == pytest.approx((180 + 150 + 90) / 540, abs=0.02)
+    assert share_on_contours(scans[:1] * 1000, LASER, most=5) == share_on_contours(scans[:1], LASER)
+    assert (
+        share_on_contours([], LASER) is share_on_contours([Scan(0.0, angles * np.nan, angles)], LASER) is None
+    )
+
+
+@pytest.mark.parametrize("name", ["floor-115", "office", "crowd", "hall"])
+def test_scans_with_most_ranges_bad_are_told_and_good_ones_are_not(name):
+    """Twenty scans all over the drive, as they are, with every third range bad, and with three of five."""
+    log = simulate(world_by_name(name), 3)
+    for bad, told in ((0.0, 0), (0.3, 0), (0.6, 1)):
+        scans = [event for event in with_bad_ranges(log, bad, 5) if isinstance(event, Scan)]
+        share = share_on_contours(scans, log.defaults.sensor, most=20)
+        warnings = contour_warnings({"ranges_on_contours_share": share})
+        assert len(warnings) == told and all("on no contour" in each for each in warnings)

@@ -307,6 +307,54 @@ def test_scans_without_odometry_around_them_are_left_out(tmp_path):
         list(nothing)
 
 
+def test_a_silent_odometry_is_told_and_its_scans_are_left_out(tmp_path):
+    """The one step across is that of the circle, and stated as wider than a tenth of its way."""
+    messages = [odometry(t / 10, arc(t / 10)) for t in range(1000, 1101) if not 1030 < t < 1070]
+    messages += [scan(t / 10 + 0.05, np.full(3, 2.0)) for t in range(1000, 1100)]
+    path = write_bag(tmp_path, "mcap", still(messages))
+    log = open_log(path)
+    (note,) = reader_notes(log)
+    assert str(path) in note and "4 s from 103 s to 107 s" in note
+    findings = check_log(log).findings
+    assert any(note == finding.what for finding in findings)
+    (left_out,) = [finding for finding in findings if finding.what.startswith("left out")]
+    assert left_out.count == 40 and left_out.first[0] == "record 31: inside a silence of the odometry"
+    moves, scans = pairs(log)
+    times = np.array([s.time for s in scans])
+    assert not ((times > 103.0) & (times < 107.0)).any() and len(times) == 60
+    (at,) = np.flatnonzero([move.covariance is not None for move in moves])
+    assert times[at] == pytest.approx(107.05) and moves[at].durations[0] == pytest.approx(4.1)
+    np.testing.assert_allclose(moves[at].values[0], increment(arc(102.95), arc(107.05)), atol=1e-6)
+
+
+@pytest.mark.parametrize("pause", [3.0, 30.0])
+def test_motion_across_a_silence_is_doubted_by_the_way_that_it_may_hide(tmp_path, pause):
+    """Oracle: a tenth of the ways of robots that go and turn at any speed up to 0.6 and back; 0.5 m, 20 deg at most."""
+    times = [t / 10 + (pause if t > 1030 else 0.0) for t in range(1000, 1101)]
+    place = {t: arc(t / 10) for t in range(1000, 1101)}
+    messages = []
+    for t, time in zip(place, times):
+        messages += [odometry(time, place[t]), scan(time, np.full(3, 2.0))]
+    log = open_log(write_bag(tmp_path, "bag", still(messages)))
+    assert len(reader_notes(log)) == 1
+    moves, _ = pairs(log)
+    (across,) = [move for move in moves if move.covariance is not None]
+    hidden = 0.1 * (pause + 0.1) * np.random.default_rng(1).uniform(-0.6, 0.6, 100_000).std()
+    step = across.values[0]
+    usual = np.array([0.1 * np.hypot(*step[:2]), np.hypot(np.deg2rad(0.5), 0.1 * step[2])])
+    deviations = np.sqrt(np.diag(across.covariance[0]))[[0, 2]]
+    expected = np.hypot(usual, np.minimum(hidden, [0.5, np.deg2rad(20.0)]))
+    np.testing.assert_allclose(deviations, expected, rtol=0.02)
+
+
+def test_a_slow_odometry_is_not_silent(tmp_path):
+    """One message in 1.5 s is its rate, not a gap."""
+    messages = [odometry(100 + 1.5 * k, arc(100 + 1.5 * k)) for k in range(10)]
+    messages += [scan(100.1 + k / 5, np.full(3, 2.0)) for k in range(60)]
+    log = open_log(write_bag(tmp_path, "bag", still(messages)))
+    assert reader_notes(log) == () and all(move.covariance is None for move in pairs(log)[0])
+
+
 def test_bad_messages_are_named_or_skipped(tmp_path):
     """A scan without ranges, one without a step, an odometry of NaN, one with an empty quaternion."""
     bad = [

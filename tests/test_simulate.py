@@ -176,7 +176,7 @@ def test_a_world_that_cannot_be_is_refused(course, change):
 def test_a_drive_is_quick(course):
     best = math.inf
     for _ in range(3):
-        started = time.perf_counter()
+        started = time.process_time()
         simulate(course, 1)
-        best = min(best, time.perf_counter() - started)
-    assert best < 1.0  # 0.05 s on an idle machine
+        best = min(best, time.process_time() - started)
+    assert best < 1.0  # 0.05 s of the processor, whatever else it does

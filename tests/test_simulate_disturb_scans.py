@@ -12,6 +12,7 @@ from kalmap.simulate import (
     with_bad_ranges,
     with_beams,
     with_clock_jump,
+    with_cover,
     without_odometry,
     without_scans,
     world_by_name,
@@ -92,6 +93,18 @@ def test_the_clock_jumps_once(log, by):
     np.testing.assert_allclose(after - before, np.where(before >= 30.0, by, 0.0), atol=1e-9)
 
 
+def test_a_cover_hides_its_beams_and_no_others(log):
+    """Oracle: the beams by their bearings; its noise by the standard deviation of thousands."""
+    hidden = with_cover(log, 100.0, 110.0, 0.25, 6)
+    before, after = (np.array([scan.ranges for scan in scans(each)]) for each in (log, hidden))
+    angles = np.rad2deg(scans(log)[0].bearings)
+    mask = (angles >= 100.0) & (angles <= 110.0)
+    assert mask.sum() > 20
+    np.testing.assert_array_equal(after[:, ~mask], before[:, ~mask])
+    assert after[:, mask].mean() == pytest.approx(0.25, abs=5e-4)
+    assert after[:, mask].std() == pytest.approx(0.005, rel=0.1)
+
+
 def test_what_cannot_be_is_refused(log):
     for share in (-0.1, 1.1, math.nan):
         with pytest.raises(ConfigError, match="share"):
@@ -99,5 +112,8 @@ def test_what_cannot_be_is_refused(log):
     for count in (0, 1_000_000):
         with pytest.raises(ConfigError, match="beams"):
             with_beams(log, count)
+    for distance in (0.0, -1.0, math.nan):
+        with pytest.raises(ConfigError, match="cover"):
+            with_cover(log, 0.0, 10.0, distance, 1)
     with pytest.raises(ConfigError, match="clock"):
         with_clock_jump(log, math.inf, 1.0)

@@ -246,7 +246,7 @@ def test_a_floor_can_be_read_twice_and_sent_to_a_worker():
 def test_a_floor_is_quick():
     best = math.inf
     for _ in range(3):
-        started = time.perf_counter()
+        started = time.process_time()
         simulate(world_by_name("floor-115"), 1)
-        best = min(best, time.perf_counter() - started)
-    assert best < 2.0  # 0.1 s on an idle machine
+        best = min(best, time.process_time() - started)
+    assert best < 2.0  # 0.1 s of the processor, whatever else it does

@@ -3,7 +3,6 @@
 import pickle
 import subprocess
 import sys
-import time
 import tracemalloc
 
 import numpy as np
@@ -81,19 +80,20 @@ def test_a_large_lawn_shows_its_landmarks_and_each_look_tries_the_near_ones_only
 
 _HUGE = """
 import resource
+import time
 from kalmap.simulate import simulate, world_by_name
 log = simulate(world_by_name("lawn-100000"), 1)
 assert sum(1 for _ in log) > 2_000_000
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time())
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux only")
 def test_a_hundred_thousand_landmarks_fit_in_two_gigabytes():
-    started = time.perf_counter()
     out = subprocess.run(
-        [sys.executable, "-c", _HUGE], capture_output=True, text=True, timeout=300, check=True
+        [sys.executable, "-c", _HUGE], capture_output=True, text=True, timeout=900, check=True
     )
-    assert int(out.stdout) < 2_000_000
-    assert time.perf_counter() - started < 120.0  # 30 s on a busy machine
+    kilobytes, seconds = out.stdout.split()
+    assert int(kilobytes) < 2_000_000
+    assert float(seconds) < 120.0  # 30 s of the processor

@@ -21,8 +21,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from kalmap.data.drive import HOLD, Drive, DriveEvents, cleaned, interpolated, no_return
+from kalmap.data.covered import without_cover
+from kalmap.data.drive import HOLD, Drive, DriveEvents, cleaned, interpolated, no_return, outside_silences
 from kalmap.data.laser_classes import laser_defaults
+from kalmap.data.odometry_gaps import Silence, silences
 from kalmap.data.relations import PACKED, relations_beside
 from kalmap.data.streams import Malformed
 from kalmap.data.text import read_text
@@ -75,7 +77,7 @@ def open_carmen(path: Path) -> Log:
     Raises LogError if the file cannot be read or holds no message of a front laser. Bad lines come up when the log
     is iterated; records are line numbers.
     """
-    drive = read_carmen(path)
+    drive = without_cover(read_carmen(path))
     name = path.name
     for ending in (*PACKED, ".clf", ".log"):
         name = name.removesuffix(ending)
@@ -223,14 +225,15 @@ def _drive(
     left_out: dict[int, str] = {}
     others = [f"{counts[name]} {name}" for name in OTHER_LASERS if counts[name] and kind != "RAWLASER1"]
     notes = [f"only {kind} is read; left out: {', '.join(others)}"] if others else []
+    silent: tuple[Silence, ...] = ()
     if kind == "RAWLASER1":
-        poses, left_out = _odometry_at(path, stamps, good, lines, kinds)
+        poses, left_out, silent = _odometry_at(path, stamps, good, lines, kinds)
     ranges = [cleaned(scan.ranges, 0.0, np.nextafter(scan.reach, 0.0)) for scan in scans]
     fans = {
         (scan.geometry, len(scan.ranges)): scan.geometry[0] + scan.geometry[1] * np.arange(len(scan.ranges))
         for scan in scans
     }
-    return Drive(
+    drive = Drive(
         file=str(path),
         stamps=stamps,
         records=records,
@@ -239,10 +242,12 @@ def _drive(
         bearings=[fans[scan.geometry, len(scan.ranges)] for scan in scans],
         malformed=malformed,
         left_out=left_out,
+        silences=silent,
         mount=_mount(poses[good], lines, kinds),
         reach=no_return(ranges),
         notes=tuple(notes),
     )
+    return outside_silences(drive)
 
 
 def _mount(poses: np.ndarray, lines: list[str], kinds: list[str]) -> np.ndarray:
@@ -268,8 +273,8 @@ def _mount(poses: np.ndarray, lines: list[str], kinds: list[str]) -> np.ndarray:
 
 def _odometry_at(
     path: Path, stamps: np.ndarray, good: np.ndarray, lines: list[str], kinds: list[str]
-) -> tuple[np.ndarray, dict[int, str]]:
-    """Poses (n, 6) of the scans by the ODOM lines, and the scans that no odometry covers."""
+) -> tuple[np.ndarray, dict[int, str], tuple[Silence, ...]]:
+    """Poses (n, 6) of the scans by the ODOM lines, the scans that no odometry covers, and its silences."""
     rows = []
     for kind, line in zip(kinds, lines):
         words = line.split() if kind == "ODOM" else []
@@ -285,7 +290,8 @@ def _odometry_at(
     table = np.array(rows)
     table[:, 2] = wrap(table[:, 2])
     poses = np.full((len(stamps), 6), np.nan)
-    found, outside = interpolated(np.maximum.accumulate(table[:, 3]), table[:, :3], stamps[good])
+    times = np.maximum.accumulate(table[:, 3])
+    found, outside = interpolated(times, table[:, :3], stamps[good])
     poses[good, 3:] = found
     away = good[outside > HOLD].tolist()
-    return poses, dict.fromkeys(away, "outside the span of the odometry")
+    return poses, dict.fromkeys(away, "outside the span of the odometry"), silences(times, 0, len(stamps) - 1)

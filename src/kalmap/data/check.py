@@ -177,11 +177,19 @@ def _kind(fault: Fault) -> str:
 
 
 def _left_out(name: str, stream: Stream) -> list[Finding]:
+    """Records of the same reason as one finding."""
+    reasons: dict[str, list[int]] = {}
+    for k, why in sorted(stream.left_out.items()):
+        reasons.setdefault(why, []).append(k)
     return [
         Finding(
-            "note", name, "left out: a known quirk of the log", 1, (f"record {stream.records[k]}: {why}",)
+            "note",
+            name,
+            "left out: a known quirk of the log",
+            len(rows),
+            tuple(f"record {stream.records[k]}: {why}" for k in rows[:FIRST_RECORDS]),
         )
-        for k, why in stream.left_out.items()
+        for why, rows in reasons.items()
     ]
 
 

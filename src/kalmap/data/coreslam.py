@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kalmap.data.covered import without_cover
 from kalmap.data.drive import Drive, DriveEvents, cleaned
 from kalmap.data.laser_classes import laser_defaults
 from kalmap.data.text import read_table, read_text
@@ -50,7 +51,7 @@ def is_coreslam(path: Path) -> bool:
 
 def open_coreslam(path: Path) -> Log:
     """The log in a `.dat`. Raises LogError if it cannot be read; bad lines come up when the log is iterated."""
-    drive = read_coreslam(path)
+    drive = without_cover(read_coreslam(path))
     return Log(
         name=path.stem,
         source=str(path),

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 import msgspec
 import numpy as np
 
+from kalmap.data.odometry_gaps import LONGEST, LOST, Silence, step_covariance
+from kalmap.data.plausibility import NAMED
 from kalmap.data.streams import Malformed, OdometryStream, ScanStream, Streams
 from kalmap.geometry.se2 import compose, exponential, inverse, logarithm
 from kalmap.records import Event, LogError, Odometry, Scan, Skipped
 
-LOST = np.diag([0.5**2, 0.5**2, np.deg2rad(20.0) ** 2])
-"""m^2, rad^2: how little is known of the motion across a jump of the clock."""
 TICK = 1e-6
 """s between two events of which the second is stamped earlier."""
 HOLD = 0.5
@@ -31,6 +31,15 @@ SICK_CODES = tuple(code / unit for unit in (100.0, 1000.0) for code in (8183, 81
 Skip = Callable[[Skipped], None]
 
 
+Fan = tuple[int, float, float]
+"""How many beams a scan has, and the bearings of the first and the last, rad: these tell one set of beams."""
+
+
+def fan_of(bearings: np.ndarray) -> Fan:
+    """Which set of beams (B,) it is; B > 0."""
+    return len(bearings), float(bearings[0]), float(bearings[-1])
+
+
 class Drive(msgspec.Struct, frozen=True, kw_only=True):
     """n records of one laser, in the order in which they were taken.
 
@@ -39,6 +48,8 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True):
     bearings: n arrays (B,) rad, ascending, in the laser's frame. intensities: n arrays (B,), or None.
     malformed: row -> why it could not be read; its numbers are NaN. left_out: row -> why it is passed over without
     being a fault. jumps: row -> how the clock jumps before it; the odometry across a jump is not used.
+    silences: of the odometry that the poses were interpolated from.
+    covered: set of beams -> (B,) bool, which of them see the robot itself and are left out.
     mount: (3,) the laser in the robot's frame. reach: m, what lies at or beyond it is no return; inf if not known.
     notes: what the reader decided that a user should know.
     """
@@ -53,6 +64,8 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True):
     malformed: dict[int, Malformed] = msgspec.field(default_factory=dict)
     left_out: dict[int, str] = msgspec.field(default_factory=dict)
     jumps: dict[int, Malformed] = msgspec.field(default_factory=dict)
+    silences: tuple[Silence, ...] = ()
+    covered: dict[Fan, np.ndarray] = msgspec.field(default_factory=dict)
     mount: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(3))
     reach: float = np.inf
     notes: tuple[str, ...] = ()
@@ -158,11 +171,13 @@ def steps_between(poses: np.ndarray) -> np.ndarray:
 def events(drive: Drive, skip: Skip | None) -> Iterator[Event]:
     """An `Odometry` and a `Scan` for each record, in order.
 
-    The first odometry has no samples. The one after a jump of the clock is zero and states the covariance `LOST`.
+    The first odometry has no samples. The one after a jump of the clock is zero and states the covariance `LOST`; one
+    across a silence of the odometry states a covariance, too.
     skip: is told of each bad record that is passed over; None: a bad record raises `LogError` when its turn comes.
     """
     times = times_put_right(drive)
     steps, jumped = steps_of(drive)
+    silent = silent_of(drive)
     last: float | None = None
     for row in range(len(drive.stamps)):
         fault = drive.malformed.get(row) or drive.jumps.get(row)
@@ -175,7 +190,7 @@ def events(drive: Drive, skip: Skip | None) -> Iterator[Event]:
             time,
             np.zeros((0, 3)) if last is None else steps[row : row + 1],
             np.zeros(0) if last is None else np.array([time - last]),
-            LOST[None] if jumped[row] and last is not None else None,
+            None if last is None else _stated(steps[row], bool(jumped[row]), float(silent[row])),
             record,
             drive.file,
         )
@@ -197,13 +212,71 @@ def steps_of(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     return steps, jumped
 
 
+def outside_silences(drive: Drive) -> Drive:
+    """The drive without the scans that lie inside a silence of its odometry: nobody knows where they were taken.
+
+    What a jump of the clock made of two messages in a row is no silence.
+    """
+    stamps, rows = drive.stamps, np.arange(len(drive.stamps))
+    inside = np.zeros(len(rows), dtype=bool)
+    jumps = [(stamps[row - 1], stamps[row]) for row in drive.jumps if row > 0]
+    silences = tuple(
+        each for each in drive.silences if not any(a < each.end and b > each.begin for a, b in jumps)
+    )
+    for each in silences:
+        beside = (rows >= each.first) & (rows <= each.last)
+        inside |= beside & (stamps > each.begin) & (stamps < each.end)
+    inside[[*drive.malformed, *drive.left_out]] = False
+    found = dict.fromkeys(np.flatnonzero(inside).tolist(), "inside a silence of the odometry")
+    return msgspec.structs.replace(drive, silences=silences, left_out={**drive.left_out, **found})
+
+
+def silent_of(drive: Drive) -> np.ndarray:
+    """(n,) s, how long the odometry was silent during the steps to the rows that become events."""
+    silent, rows = np.zeros(len(drive.stamps)), drive.rows()
+    for each in drive.silences:
+        beside = rows[(rows >= each.first) & (rows <= each.last)]
+        begin, end = drive.stamps[beside[:-1]], drive.stamps[beside[1:]]
+        silent[beside[1:]] += np.maximum(0.0, np.minimum(end, each.end) - np.maximum(begin, each.begin))
+    return silent
+
+
+def silence_notes(drive: Drive) -> tuple[str, ...]:
+    """A note on the silences of the odometry that scans lie in, or on both sides of."""
+    rows = drive.rows()
+    stamps = drive.stamps[rows]
+    crossed = []
+    for each in drive.silences:
+        beside = stamps[(rows >= each.first) & (rows <= each.last)]
+        if len(beside) and beside.min() <= each.begin and beside.max() >= each.end:
+            crossed.append(each)
+    if not crossed:
+        return ()
+    longest = sorted(crossed, key=lambda each: each.begin - each.end)[:NAMED]
+    told = ", ".join(f"{s.end - s.begin:.4g} s from {s.begin:.13g} s to {s.end:.13g} s" for s in longest)
+    return (
+        f"{drive.file}: the odometry is silent for longer than {LONGEST:g} s {len(crossed)} time"
+        f"{'s' * (len(crossed) != 1)} ({told}{', ...' * (len(crossed) > NAMED)}); scans inside are left out, and the "
+        "motion across is doubted",
+    )
+
+
+def _stated(step: np.ndarray, jumped: bool, silent: float) -> np.ndarray | None:
+    """(1, 3, 3) the covariance of a step (3,) where it is not the usual one."""
+    if jumped:
+        return LOST[None]
+    return step_covariance(step, silent)[None] if silent > 0 else None
+
+
 def _scan(drive: Drive, row: int, time: float) -> Scan:
     stamp = float(drive.stamps[row])
+    covered = _covered(drive, row)
+    used = slice(None) if covered is None else ~covered
     return Scan(
         time,
-        np.ascontiguousarray(reaching(drive, row), dtype=np.float64),
-        drive.bearings[row],
-        None if drive.intensities is None else drive.intensities[row],
+        np.ascontiguousarray(reaching(drive, row)[used], dtype=np.float64),
+        drive.bearings[row][used],
+        None if drive.intensities is None else drive.intensities[row][used],
         int(drive.records[row]),
         drive.file,
         stamp if stamp != time else float("nan"),
@@ -211,9 +284,17 @@ def _scan(drive: Drive, row: int, time: float) -> Scan:
 
 
 def reaching(drive: Drive, row: int) -> np.ndarray:
-    """(B,) the ranges of a row, +inf from the drive's reach on."""
-    ranges = drive.ranges[row]
-    return np.where(ranges < drive.reach, ranges, np.inf)
+    """(B,) the ranges of a row, +inf from the drive's reach on and where the beam is covered."""
+    ranges, covered = drive.ranges[row], _covered(drive, row)
+    seen = ranges < drive.reach
+    return np.where(seen if covered is None else seen & ~covered, ranges, np.inf)
+
+
+def _covered(drive: Drive, row: int) -> np.ndarray | None:
+    """(B,) which of a row's beams are covered, None without any."""
+    return (
+        drive.covered.get(fan_of(drive.bearings[row])) if drive.covered and len(drive.bearings[row]) else None
+    )
 
 
 def _report(drive: Drive, row: int, fault: Malformed, skip: Skip | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from kalmap.data.drive import Drive, reaching, steps_of, times_put_right
+from kalmap.data.drive import Drive, reaching, silence_notes, steps_of, times_put_right
 from kalmap.data.laser_classes import laser_class
 from kalmap.data.plausibility import FASTEST, NAMED, Finding
 
@@ -70,9 +70,14 @@ def laser_report(drive: Drive) -> LaserReport:
     )
 
 
+def drive_notes(drive: Drive) -> tuple[str, ...]:
+    """What the reader decided, and where what it hands on is guessed or left out."""
+    return (*drive.notes, *silence_notes(drive))
+
+
 def laser_findings(drive: Drive) -> list[Finding]:
     """Jumps of the clock and of the odometry, and what the reader decided by itself."""
-    findings = [Finding("note", "log", note, 1) for note in drive.notes]
+    findings = [Finding("note", "log", note, 1) for note in drive_notes(drive)]
     if drive.jumps:
         named = sorted(drive.jumps)[:NAMED]
         first = tuple(f"record {drive.records[k]}: {drive.jumps[k].problem}" for k in named)

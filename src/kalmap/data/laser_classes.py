@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 
 from kalmap.data.drive import Drive
-from kalmap.records import ContourConfig, MotionConfig, RunConfig, SensorConfig
+from kalmap.data.odometry_gaps import INDOOR
+from kalmap.records import ContourConfig, RunConfig, SensorConfig
 
 
 class LaserClass(msgspec.Struct, frozen=True):
@@ -49,11 +50,6 @@ URG = LaserClass(
 URG_RANGE = 6.0
 URG_FIELD_DEG = 190.0
 URG_SPACING_DEG = 0.45
-
-INDOOR = MotionConfig(
-    model="increments", sigma_distance_ratio=0.1, sigma_rotation_deg=0.5, sigma_rotation_ratio=0.1
-)
-"""Odometry of wheeled robots on floors, a step being the way between two scans."""
 
 
 def laser_class(drive: Drive, stated: float = np.inf) -> LaserClass:

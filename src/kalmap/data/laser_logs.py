@@ -8,6 +8,7 @@ from pathlib import Path
 from kalmap.data.carmen import is_carmen, open_carmen
 from kalmap.data.coreslam import is_coreslam, open_coreslam
 from kalmap.data.drive import DriveEvents
+from kalmap.data.laser_check import drive_notes
 from kalmap.data.ros_bags import is_bag
 from kalmap.records import Log, LogError
 
@@ -57,4 +58,4 @@ def laser_folder(folder: Path, scan_topic: str | None, odometry_topic: str | Non
 
 def reader_notes(log: Log) -> tuple[str, ...]:
     """What the reader of a raw laser log decided that its user should know: which topic, which mounting."""
-    return log.open.drive.notes if isinstance(log.open, DriveEvents) else ()
+    return drive_notes(log.open.drive) if isinstance(log.open, DriveEvents) else ()

@@ -7,8 +7,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from kalmap.data.drive import HOLD, Drive, DriveEvents, cleaned, interpolated, no_return
+from kalmap.data.covered import without_cover
+from kalmap.data.drive import HOLD, Drive, DriveEvents, cleaned, interpolated, no_return, outside_silences
 from kalmap.data.laser_classes import laser_defaults
+from kalmap.data.odometry_gaps import Silence, silences
 from kalmap.data.ros_bags import METADATA, Bag, ScanMessage, contents, most_common, read_bag
 from kalmap.data.ros_frames import BASES, Mounting, mounting, odometry_edge, planar
 from kalmap.data.streams import Malformed
@@ -38,7 +40,7 @@ def open_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
     """
     path = path.parent if path.name == METADATA else path
     bag = read_bag(path, scan_topic, odometry_topic)
-    drive = bag_drive(bag)
+    drive = without_cover(bag_drive(bag))
     reach = max((scan.high for scan in bag.scans if scan.fault is None), default=np.inf)
     files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
     return Log(
@@ -73,13 +75,14 @@ def bag_drive(bag: Bag) -> Drive:
         notes.append(f"scans out of order were sorted by their stamps ({late})")
     poses, outside = _poses_at(track, good, epochs)
     rows = [(good[k], k) for k in order.tolist()]
-    return _assembled(bag, rows, faults, poses, outside, epochs, frame, mount, notes)
+    return _assembled(bag, rows, faults, track, poses, outside, epochs, frame, mount, notes)
 
 
 def _assembled(
     bag: Bag,
     sorted_scans: list[tuple[ScanMessage, int]],
     faults: list[tuple[int, int, Malformed]],
+    track: _Track,
     poses: np.ndarray,
     outside: np.ndarray,
     epochs: np.ndarray,
@@ -125,7 +128,7 @@ def _assembled(
         np.zeros(0) if scan.intensities is None else scan.intensities[order].astype(np.float64)
         for scan, (_, order) in zip(scans, turned)
     ]
-    return Drive(
+    drive = Drive(
         file=bag.file,
         stamps=np.array([scan.stamp for scan in scans]),
         records=np.array([scan.number for scan in scans], dtype=np.int64),
@@ -136,10 +139,12 @@ def _assembled(
         malformed=malformed,
         left_out=left_out,
         jumps=jumps,
+        silences=_silences(track, epochs, np.array(at, dtype=np.int64)),
         mount=mount.pose,
         reach=no_return(ranges),
         notes=tuple(notes),
     )
+    return outside_silences(drive)
 
 
 def _jump(
@@ -198,20 +203,37 @@ def _base(bag: Bag) -> str:
 
 
 def _poses_at(track: _Track, scans: list[ScanMessage], epochs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (n, 3) at the scans' stamps, and (n,) s by how much each lies outside the odometry of its epoch.
+    """Poses (n, 3) at the scans' stamps, and (n,) s by how much each lies outside the odometry of its epoch."""
+    stamps = np.array([scan.stamp for scan in scans])
+    poses, outside = np.zeros((len(scans), 3)), np.zeros(len(scans))
+    for epoch, chosen in _track_of_epochs(track, epochs).items():
+        mine = epochs == epoch
+        poses[mine], outside[mine] = interpolated(track.stamps[chosen], track.poses[chosen], stamps[mine])
+    return poses, outside
+
+
+def _track_of_epochs(track: _Track, epochs: np.ndarray) -> dict[int, np.ndarray]:
+    """The odometry's messages for each epoch of the scans, in the order of their stamps.
 
     If both clocks were set back equally often they are one, and each epoch of the scans has its own odometry.
     """
-    stamps = np.array([scan.stamp for scan in scans])
-    poses, outside = np.zeros((len(scans), 3)), np.zeros(len(scans))
     of_track = _epochs(track.stamps)
     together = of_track.max(initial=0) == epochs.max(initial=0)
+    of_epochs = {}
     for epoch in np.unique(epochs).tolist():
-        mine = epochs == epoch
         chosen = np.flatnonzero(of_track == epoch) if together else np.arange(len(of_track))
-        chosen = chosen[np.argsort(track.stamps[chosen], kind="stable")]
-        poses[mine], outside[mine] = interpolated(track.stamps[chosen], track.poses[chosen], stamps[mine])
-    return poses, outside
+        of_epochs[epoch] = chosen[np.argsort(track.stamps[chosen], kind="stable")]
+    return of_epochs
+
+
+def _silences(track: _Track, epochs: np.ndarray, at: np.ndarray) -> tuple[Silence, ...]:
+    """The odometry's silences. epochs: (n,) of the scans; at: (m,) the scan of each row of the drive, -1 for none."""
+    of_rows = np.append(epochs, -1)[at]
+    found: list[Silence] = []
+    for epoch, chosen in _track_of_epochs(track, epochs).items():
+        rows = np.flatnonzero(of_rows == epoch)
+        found += silences(track.stamps[chosen], int(rows[0]), int(rows[-1]))
+    return tuple(found)
 
 
 def _fan(start: float, step: float, beams: int, upside_down: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import IntEnum
 
 import msgspec
@@ -143,3 +144,11 @@ def cut_scan(scan: Scan, sensor: SensorConfig, config: CutConfig | None = None) 
         problem = f"{ranges.shape} ranges and {bearings.shape} bearings: expected a row of each, as long"
         raise EventError(problem, time=scan.time, field="ranges")
     return Pieces(*cut_and_fit(ranges, bearings, cut_settings(sensor, config or CutConfig())))
+
+
+def share_on_contours(scans: Sequence[Scan], sensor: SensorConfig, most: int = 300) -> float | None:
+    """Share of the ranges that lie on a piece, in so many scans spread over all of them; None without ranges."""
+    chosen = np.unique(np.linspace(0, len(scans) - 1, min(most, len(scans))).round().astype(int))
+    pieces = [cut_scan(scans[k], sensor).piece for k in chosen.tolist()]
+    on = np.concatenate([np.zeros(0, dtype=np.int64), *pieces]) >= 0
+    return float(on.mean()) if len(on) else None

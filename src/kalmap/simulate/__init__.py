@@ -24,6 +24,7 @@ from kalmap.simulate.disturb_scans import (
     with_bad_ranges,
     with_beams,
     with_clock_jump,
+    with_cover,
     without_odometry,
     without_scans,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "with_bad_ranges",
     "with_beams",
     "with_clock_jump",
+    "with_cover",
     "with_clutter",
     "without_odometry",
     "without_scans",

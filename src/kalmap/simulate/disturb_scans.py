@@ -15,6 +15,8 @@ _BAD = (np.nan, np.inf, 0.0)
 # m that two neighbours may differ and still be one surface, between which a further beam ends
 _ONE_SURFACE = 0.1
 _MOST_BEAMS = 100_000
+# m, of a range to what is near
+_COVER_NOISE = 0.005
 
 _Skip = Callable[[Skipped], None] | None
 _Change = Callable[[Event, np.random.Generator], Event | None]
@@ -39,6 +41,20 @@ def with_beams(log: Log, count: int) -> Log:
     if not 1 <= count <= _MOST_BEAMS:
         raise ConfigError(f"beams: expected 1 to {_MOST_BEAMS}, got {count}")
     return _changed(log, partial(_respread, count), 0, {"beams": count})
+
+
+def with_cover(log: Log, first_deg: float, last_deg: float, distance: float, seed: int) -> Log:
+    """The log of a scanner before whose beams from first to last, deg, something is fixed at `distance`, m.
+
+    It is measured with a noise of 5 mm. Raises ConfigError for a distance that is not positive, or what is not finite.
+    """
+    if not (np.isfinite([first_deg, last_deg, distance]).all() and distance > 0.0):
+        raise ConfigError(
+            f"cover: expected angles and a positive distance, got {first_deg:g}, {last_deg:g}, {distance:g}"
+        )
+    setting = {"first_deg": first_deg, "last_deg": last_deg, "distance": distance, "seed": seed}
+    hidden = partial(_hidden, np.deg2rad(first_deg), np.deg2rad(last_deg), distance)
+    return _changed(log, hidden, seed, {"cover": setting})
 
 
 def without_odometry(log: Log) -> Log:
@@ -82,6 +98,14 @@ def _spoilt(share: float, event: Event, rng: np.random.Generator) -> Event:
     hit, which = rng.random((2, len(event.ranges)))
     bad = np.array(_BAD)[(len(_BAD) * which).astype(int)]
     return msgspec.structs.replace(event, ranges=np.where(hit < share, bad, event.ranges))
+
+
+def _hidden(first: float, last: float, distance: float, event: Event, rng: np.random.Generator) -> Event:
+    if not isinstance(event, Scan):
+        return event
+    seen = distance + _COVER_NOISE * rng.standard_normal(len(event.ranges))
+    before = (event.bearings >= first) & (event.bearings <= last)
+    return msgspec.structs.replace(event, ranges=np.where(before, seen, event.ranges))
 
 
 def _respread(count: int, event: Event, rng: np.random.Generator) -> Event:

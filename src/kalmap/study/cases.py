@@ -14,6 +14,7 @@ from kalmap.evaluation import (
     sighting_identities,
 )
 from kalmap.evaluation.trajectory import aligned
+from kalmap.perception import share_on_contours
 from kalmap.records import AssociationConfig, FilterConfig, FiniteSetConfig, Log, RunConfig, final_course
 from kalmap.records.config import ContourMethod
 from kalmap.simulate import FloorWorld, World, simulate
@@ -210,7 +211,16 @@ def judge(outcome: Outcome, log: Log, config: RunConfig) -> dict[str, float | in
         "recovered": outcome.recovered,
         "association_accuracy_at_once": at_once,
         "association_s": outcome.association_seconds if config.by_place else None,
+        **_of_scans(outcome, config),
     }
+
+
+def _of_scans(outcome: Outcome, config: RunConfig) -> dict[str, float | int | None]:
+    """What the scans of a contour map are like."""
+    sweeps = outcome.estimate.sweeps
+    if sweeps is None:
+        return {}
+    return {"ranges_on_contours_share": share_on_contours(sweeps().scans, config.sensor)}
 
 
 def _identities(outcome: Outcome, log: Log) -> tuple[np.ndarray, np.ndarray] | None:

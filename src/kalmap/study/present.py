@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from kalmap._version import __version__
+from kalmap.data import reader_notes
 from kalmap.data.files import json_text, write_atomically
 from kalmap.data.results import check_result_folder, write_manifest, write_result
 from kalmap.evaluation import consistency, trajectory
@@ -236,7 +237,7 @@ def save_run(
             metrics=metrics,
             manifest=manifest,
             figures=pictures,
-            warnings=(*contour_warnings(metrics), *warnings),
+            warnings=(*reader_notes(log), *contour_warnings(metrics), *warnings),
             trail=trail,
         )
         write_atomically(folder / "report.html", page.encode())
@@ -267,7 +268,7 @@ def save_comparison(
     Returns metrics by method; methods that could not start are in the page's warnings only.
     """
     check_result_folder(folder)
-    views, metrics, manifests, warnings = [], {}, {}, []
+    views, metrics, manifests, warnings = [], {}, {}, list(reader_notes(log))
     for result in results:
         if result.error is not None:
             warnings.append(f"{result.method}: {result.error}")

@@ -13,6 +13,9 @@ from kalmap.view.reading import number
 
 Card = tuple[str, str, str, str]
 
+LEAST_ON_CONTOURS = 0.75
+"""Of the ranges. A piece of contour needs four; if more than every fourth range is on none, the usual four are torn."""
+
 
 def contour_cards(contours: Contours, metrics: Mapping[str, Any]) -> Iterator[Card]:
     """Cards (label, value, unit, what it says); what is not known is left out."""
@@ -51,16 +54,31 @@ def relation_cards(metrics: Mapping[str, Any]) -> Iterator[Card]:
 
 
 def contour_warnings(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """What must be known before a map of contours is trusted: where scans tell nothing of the way along a direction."""
+    """What must be known before a map of contours is trusted: scans that hold the vehicle badly, or not at all."""
+    return (*_torn(metrics), *_loose(metrics))
+
+
+def _torn(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Scans of which much is no contour."""
+    share = metrics.get("ranges_on_contours_share")
+    if share is not None and share < LEAST_ON_CONTOURS:
+        yield (
+            f"{number(100.0 * (1.0 - share))} % of the ranges lie on no contour: the scans are torn by ranges that are "
+            "bad or missing, or what they show is no wall. The map may be far worse than its covariances say."
+        )
+
+
+def _loose(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Scans that tell nothing of the way along a direction."""
     loose, maps = metrics.get("local_maps_loose"), metrics.get("local_maps")
     sigma, direction = metrics.get("weakest_direction_sigma_m"), metrics.get("weakest_direction_deg")
     if not loose or maps is None or sigma is None or direction is None:
-        return ()
+        return
     where = "The scans" if maps == loose == 1 else f"In {loose} of {maps} local maps the scans"
-    return (
+    yield (
         f"{where} hold the vehicle along one direction no better than its odometry does, as in a corridor without "
         f"features: the map is only as long there as the odometry says (weakest at {number(direction)} deg, standard "
-        f"deviation {number(sigma)} m).",
+        f"deviation {number(sigma)} m)."
     )
 
 
