@@ -182,6 +182,7 @@ def _loops(record: _Loops) -> Loops:
     loops.graph.frames, loops.graph.relations = record.frames, record.relations
     loops.open = {(first, second): why for first, second, why in record.open}
     loops.searched, loops._misfits = record.searched, record.misfits.tolist()
+    loops.graph.rescale(loops.scale)
     return loops
 
 
