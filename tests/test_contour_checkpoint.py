@@ -142,7 +142,12 @@ def test_everything_that_is_known_is_saved():
     """Whoever gives these classes a field must save it: the fields as they were when the format was made."""
     log = block_log()
     assert set(vars(Loops())) == {"maps", "graph", "open", "searched", "_misfits"}
-    assert set(vars(FrameGraph())) == {"frames", "relations", "_spread"}
+    assert set(vars(FrameGraph())) == {
+        "frames",
+        "relations",
+        "scale",
+        "_spread",
+    }  # the scale is the loops' own
     live = vars(LiveMap(mapper(log).rules)).items()
     held = {name for name, value in live if not isinstance(value, (int, float))}
     assert held == {"rules", "belief", "_setup", "_since", "normals", "sightings", "open"}

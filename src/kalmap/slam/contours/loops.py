@@ -41,6 +41,7 @@ class Loops:
         self.open: dict[tuple[int, int], str] = {}
         self.searched = 0
         self._misfits: list[float] = []
+        self.graph.rescale(self.scale)
 
     def copy(self) -> Loops:
         """The same maps, with a graph of their own."""
