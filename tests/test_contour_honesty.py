@@ -31,8 +31,9 @@ def mean_nees(world, seed):
 def test_poses_over_many_local_maps_are_as_sure_as_they_say():
     """Three floors of 12 to 25 local maps, seeds 1 to 4. Errors of one drive hang together: one number says little.
 
-    So the geometric mean over the drives is judged, of which 2.4 would be right, and the worst one.
+    So the geometric mean over the drives is judged, and the worst one. Measured: 2.5, and 4.9 at worst (before loops
+    were judged by what they share: 12.8).
     """
     values = np.array([mean_nees(world, seed) for world in WORLDS for seed in range(1, 5)])
-    assert 0.8 < np.exp(np.log(values).mean()) < 4.0
-    assert values.max() < 12.0
+    assert 1.2 < np.exp(np.log(values).mean()) < 3.6
+    assert values.max() < 8.0
