@@ -17,6 +17,7 @@ from kalmap.slam.contours.live import LiveMap
 from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.scan_store import scans_of, stored_scans
 from kalmap.slam.contours.slam import ContourSlam
+from kalmap.slam.contours.wider import Wider
 from test_checkpoint import rewrite
 from test_set_checkpoint import parts_of
 
@@ -141,8 +142,14 @@ def test_saving_again_and_again_changes_nothing(log, events, tmp_path):
 def test_everything_that_is_known_is_saved():
     """Whoever gives these classes a field must save it: the fields as they were when the format was made."""
     log = block_log()
-    assert set(vars(Loops())) == {"maps", "graph", "open", "searched", "_misfits"}
-    assert set(vars(FrameGraph())) == {"frames", "relations", "_spread"}
+    assert set(vars(Loops())) == {"maps", "graph", "open", "searched", "wider", "_misfits"}
+    assert set(vars(Wider())) == {"glimpses", "_signatures"}  # these are made of the maps anew
+    assert set(vars(FrameGraph())) == {
+        "frames",
+        "relations",
+        "scale",
+        "_spread",
+    }  # the scale is the loops' own
     live = vars(LiveMap(mapper(log).rules)).items()
     held = {name for name, value in live if not isinstance(value, (int, float))}
     assert held == {"rules", "belief", "_setup", "_since", "normals", "sightings", "open"}

@@ -12,7 +12,7 @@ from kalmap.geometry.se2 import compose, inverse
 from kalmap.simulate.catalogue import world_by_name
 from kalmap.simulate.floor_run import simulate_floor
 from kalmap.simulate.rooms import rooms_world
-from kalmap.slam.contours.loops import CONTRADICTS, Loops
+from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.matching import Overlay
 from made_maps import made_map, room
 
@@ -82,7 +82,7 @@ def test_two_rooms_that_are_the_same_are_not_confused():
     other, told = moved(ROOM, 6.3, 0.0), []
     for seed in range(8):
         places = [([*ROOM, *other], [3.0, 2.0, 0.1]), AWAY, (other, [9.3, 2.0, 0.1])]
-        loops, frames = driven(places, sigma=0.7, turn=0.03, seed=seed)
+        loops, frames = driven(places, sigma=1.0, turn=0.03, seed=seed)
         off, _ = errors(loops, frames)
         assert (0, 2) not in pairs(loops) or off[2] < 0.1
         told.append("loop" if (0, 2) in pairs(loops) else loops.open.get((0, 2), "nothing found"))
@@ -94,7 +94,7 @@ def test_a_place_that_contradicts_the_drive_is_not_believed():
     loops, frames = driven([HERE[0], (moved(ROOM, 6.3, 0.0), [9.3, 2.0, 0.1])], sigma=0.05)
     assert pairs(loops) == set()
     loops, frames = driven([HERE[0], AWAY, (moved(ROOM, 1.2, 0.0), [4.2, 2.0, 0.1])], sigma=0.05)
-    assert pairs(loops) == set() and loops.open[0, 2].startswith(CONTRADICTS)
+    assert pairs(loops) == set() and (0, 2) in loops.open
     assert errors(loops, frames)[0].max() < 0.3
 
 
@@ -117,7 +117,8 @@ def test_a_false_place_that_maps_vote_for_is_undone():
     before, kept = loops.graph.frames.copy(), dict(loops.open)
     shifted = frames[3] + [0.5, 0.3, 0.0]
     false = [
-        Overlay(compose(inverse(frames[k]), shifted), 1e-4 * np.eye(3), 15.0, 0.9, 10.0, 70) for k in (0, 1)
+        Overlay(compose(inverse(frames[k]), shifted), 1e-4 * np.eye(3), np.zeros((3, 3)), 15.0, 0.9, 10.0, 70)
+        for k in (0, 1)
     ]
     loops._vote(3, list(zip((0, 1), false, strict=True)))
     assert np.array_equal(loops.graph.frames, before) and loops.open == kept

@@ -111,14 +111,14 @@ def test_two_wings_that_are_the_same_leave_it_open(seed):
     assert not any(second >= lost > first for first, second in pairs(loops))
 
 
+def placed(ahead, matched):
+    return Overlay(np.array([ahead, 0.0, 0.0]), 1e-4 * np.eye(3), np.zeros((3, 3)), matched, 1.0, 70.0, 70)
+
+
 def glimpses(*entries):
     """Places of maps in a straight drive of 1 m from frame to frame: (first, second, how far off, matched)."""
     return [
-        Glimpse(
-            first,
-            second,
-            Overlay(np.array([second - first + off, 0.0, 0.0]), 1e-4 * np.eye(3), matched, 1.0, 70.0, 70),
-        )
+        Glimpse(first, second, placed(second - first + off, matched))
         for first, second, off, matched in entries
     ]
 

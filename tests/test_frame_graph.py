@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime, least_squares
@@ -9,7 +10,7 @@ from scipy.optimize import approx_fprime, least_squares
 import kalmap.slam.contours.graph as module
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse
-from kalmap.slam.contours.graph import FrameGraph, Relation
+from kalmap.slam.contours.graph import FrameGraph, Relation, beside_the_end
 
 
 def ring(rng, count=8, noise=0.02, loops=((0, 7), (1, 6), (2, 5))):
@@ -79,6 +80,61 @@ def test_solve_with_weights_is_a_minimum_of_cauchys_loss(seed):
     assert np.abs(gradient * scale).max() < 1e-3
     assert np.hypot(*(graph.frames[:, :2] - truth[:, :2]).T).max() < 0.3
     assert graph.distances()[-1] > 100.0
+
+
+def test_the_scale_holds_for_every_relation():
+    """Oracle: the same graph with every covariance that much larger, those of before the scale was known as well."""
+    scaled, whole = (ring(np.random.default_rng(4))[0] for _ in range(2))
+    scaled.rescale(2.5)
+    whole.replace([msgspec.structs.replace(r, information=r.information / 2.5) for r in whole.relations])
+    for graph in (scaled, whole):
+        graph.solve(50, 1e-12)
+    assert np.allclose(scaled.frames, whole.frames, rtol=0, atol=1e-10)
+    assert np.allclose(scaled.distances(), whole.distances(), rtol=1e-8)
+    assert np.allclose(scaled.covariance(), whole.covariance(), rtol=1e-8, atol=1e-15)
+    assert scaled.copy().scale == 2.5
+
+
+def test_loops_that_err_alike_are_not_counted_twice():
+    """Four maps see the last one in the same wrong place, as it is bent. Oracle: Monte Carlo, mean NEES of the frame.
+
+    If all four were independent, they would be four times as sure: a mean NEES of about 9 instead of at most 3.
+    """
+    values, independent = [], []
+    loose, sure = np.diag([1.0, 1.0, 0.1]), np.diag([0.02, 0.02, 0.005]) ** 2
+    for seed in range(150):
+        rng, graph = np.random.default_rng(seed), FrameGraph()
+        truth = np.column_stack([np.arange(7.0), np.zeros(7), np.zeros(7)])
+        for k in range(6):
+            step = compose(inverse(truth[k]), truth[k + 1])
+            graph.append(step, loose if k > 2 else 1e-3 * sure)
+        bent = compose(truth[6], rng.multivariate_normal(np.zeros(3), sure))
+        for k in range(4):
+            graph.add(Relation(k, 6, compose(inverse(truth[k]), bent), np.linalg.inv(sure), loop=True))
+        graph.solve()
+        error = graph.frames[6] - truth[6]
+        values.append(error @ np.linalg.solve(graph.own_covariances()[6], error))
+        graph.replace([msgspec.structs.replace(r, loop=False) for r in graph.relations])
+        independent.append(error @ np.linalg.solve(graph.own_covariances()[6], error))
+    assert 1.5 < np.mean(values) < 3.6
+    assert np.mean(independent) > 6.0
+
+
+def test_what_an_overlay_adds_to_the_end_of_its_map():
+    """Oracle: the error of the best linear estimate from both, by Monte Carlo over errors that they share."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        root = rng.normal(0, 0.1, (6, 6))
+        joint = root @ root.T + 1e-4 * np.eye(6)
+        added = beside_the_end(joint[:3, :3], joint[3:, 3:], joint[3:, :3])
+        both = np.vstack([np.eye(3), np.eye(3)])
+        gain = np.linalg.solve(both.T @ np.linalg.solve(joint, both), np.linalg.solve(joint, both).T)
+        errors = gain @ np.linalg.cholesky(joint) @ rng.standard_normal((6, 100_000))
+        claimed = np.linalg.inv(np.linalg.inv(joint[:3, :3]) + added)
+        ratio = np.linalg.eigvals(np.linalg.solve(claimed, np.cov(errors))).real
+        assert np.allclose(ratio, 1.0, atol=0.05)
+    same = np.diag([1e-4, 1e-4, 1e-5])
+    assert np.abs(beside_the_end(same, same + 1e-9 * np.eye(3), same)).max() < 1e-3 / 1e-5
 
 
 def test_distances():

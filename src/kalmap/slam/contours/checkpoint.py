@@ -21,6 +21,7 @@ from kalmap.slam.contours.leg import Leg, OpenLeg
 from kalmap.slam.contours.live import LiveMap
 from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.scan_store import StoredScans, scans_of, stored_scans
+from kalmap.slam.contours.wider import Glimpse
 from kalmap.slam.contours.worker import Joined, Worker
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ class _Loops(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     open: list[tuple[int, int, str]]
     searched: int
     misfits: np.ndarray
+    glimpses: list[Glimpse]
 
 
 class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -173,6 +175,7 @@ def _record(loops: Loops) -> _Loops:
         open=[(first, second, why) for (first, second), why in loops.open.items()],
         searched=loops.searched,
         misfits=np.array(loops._misfits, dtype=float),
+        glimpses=loops.wider.glimpses,
     )
 
 
@@ -182,6 +185,8 @@ def _loops(record: _Loops) -> Loops:
     loops.graph.frames, loops.graph.relations = record.frames, record.relations
     loops.open = {(first, second): why for first, second, why in record.open}
     loops.searched, loops._misfits = record.searched, record.misfits.tolist()
+    loops.wider.glimpses = record.glimpses
+    loops.graph.rescale(loops.scale)
     return loops
 
 
@@ -242,7 +247,11 @@ def _check(state: _State) -> None:
     check_arrays((loops.frames, (max(1, maps), 3), "f"), (loops.misfits, (len(loops.misfits),), "f"))
     for relation in loops.relations:
         check_arrays((relation.pose, (3,), "f"), (relation.information, (3, 3), "f"))
+    for glimpse in loops.glimpses:
+        check_arrays((glimpse.pose, (3,), "f"), (glimpse.covariance, (3, 3), "f"))
+        check_arrays((glimpse.found.with_end, (3, 3), "f"))
     pairs = [(each.first, each.second) for each in loops.relations]
+    pairs += [(each.first, each.second) for each in loops.glimpses]
     pairs += [(first, second) for first, second, _ in loops.open]
     if any(not 0 <= first < second < maps for first, second in pairs):
         raise ValueError("a relation is between maps that are not there")

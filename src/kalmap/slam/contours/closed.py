@@ -83,8 +83,7 @@ class Shape(msgspec.Struct, frozen=True, eq=False, dict=True):
         pairs = pairs[(closed.sightings[pairs] >= ENOUGH).all(axis=1)]
         ends = closed.samples[pairs]
         segments = np.ascontiguousarray(ends.reshape(-1, 4))
-        normals = closed.normals[pairs].sum(axis=1)
-        normals /= np.maximum(1e-9, np.hypot(*normals.T))[:, None]
+        normals = _across(ends, closed.normals[pairs].sum(axis=1))
         counts = np.maximum(1, np.rint(np.hypot(*(ends[:, 1] - ends[:, 0]).T) / DENSE)).astype(np.int64)
         segment = np.repeat(np.arange(len(pairs)), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts)
@@ -119,6 +118,18 @@ class Shape(msgspec.Struct, frozen=True, eq=False, dict=True):
         levels = np.zeros((LEVELS, DIRECTIONS, *self.nearest.shape), dtype=np.uint8)
         correlate.fill_levels(self.nearest, self.distance, self.normals, BLUR, levels)
         return levels
+
+
+def _across(ends: np.ndarray, facing: np.ndarray) -> np.ndarray:
+    """(S, 2) unit normals of segments (S, 2, 2), on the side of `facing` (S, 2).
+
+    What one scan said of a sample's normal when it was new is several times less sure than the way from one sample to
+    the next, and the map does not know how unsure it is.
+    """
+    way = ends[:, 1] - ends[:, 0]
+    normals = np.column_stack([-way[:, 1], way[:, 0]])
+    normals *= np.where((normals * facing).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    return np.asarray(normals / np.maximum(1e-9, np.hypot(*normals.T))[:, None])
 
 
 def neighbours(samples: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:

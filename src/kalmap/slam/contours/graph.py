@@ -13,6 +13,7 @@ from kalmap.slam.contours.spread import Spread, spread_of
 class Relation(msgspec.Struct, frozen=True):
     """T_first_second (3,) between the frames of two closed maps, measured with its information (3, 3).
 
+    information: by what the maps say of themselves, before the graph scales it.
     loop: whether it was found by laying maps over each other, and may be wrong.
     """
 
@@ -27,10 +28,15 @@ CAUCHY = 12.0  # squared distance at which a relation has half its weight: one i
 
 
 class FrameGraph:
-    """Frames (n, 3) in the map; the first one is the map's own. Solved by Gauss-Newton, outliers weighed down."""
+    """Frames (n, 3) in the map; the first one is the map's own. Solved by Gauss-Newton, outliers weighed down.
+
+    The frames take all relations at their word; their covariance does not take loops for independent that rest on the
+    same map, see `_shares`. scale: factor on the covariances of all relations.
+    """
 
     def __init__(self) -> None:
         self.frames = np.zeros((1, 3))
+        self.scale = 1.0
         self.relations: list[Relation] = []
         self._spread: Spread | None = None
 
@@ -39,6 +45,11 @@ class FrameGraph:
         self.frames = np.concatenate([self.frames, compose(self.frames[-1], step)[None]])
         count = len(self.frames)
         self.relations.append(Relation(count - 2, count - 1, step.copy(), np.linalg.inv(covariance)))
+        self._spread = None
+
+    def rescale(self, scale: float) -> None:
+        """Another scale of all relations, those of before as well."""
+        self.scale = scale
         self._spread = None
 
     def replace(self, relations: list[Relation]) -> None:
@@ -54,7 +65,7 @@ class FrameGraph:
     def copy(self) -> FrameGraph:
         """A graph of its own in the same state."""
         other = FrameGraph()
-        other.frames, other.relations = self.frames.copy(), list(self.relations)
+        other.frames, other.relations, other.scale = self.frames.copy(), list(self.relations), self.scale
         return other
 
     def solve(self, rounds: int = 10, tolerance: float = 1e-7, robust: bool = True) -> None:
@@ -65,7 +76,7 @@ class FrameGraph:
         if len(self.frames) < 2:
             return
         for _ in range(rounds):
-            rows, columns, values, right = self._normal(robust)
+            rows, columns, values, right = self._normal(independent=True, robust=robust)
             step = spread_of(rows, columns, values, len(right)).solve(right).reshape(-1, 3)
             self.frames[1:] += step
             self.frames[:, 2] = wrap(self.frames[:, 2])
@@ -77,7 +88,7 @@ class FrameGraph:
         first = np.array([r.first for r in self.relations], dtype=np.int64)
         second = np.array([r.second for r in self.relations], dtype=np.int64)
         measured = np.array([r.pose for r in self.relations]).reshape(-1, 3)
-        information = np.array([r.information for r in self.relations]).reshape(-1, 3, 3)
+        information = np.array([r.information for r in self.relations]).reshape(-1, 3, 3) / self.scale
         a, b = self.frames[first], self.frames[second]
         way = rotate(-a[:, 2], b[:, :2] - a[:, :2])
         residual = np.column_stack([way - measured[:, :2], wrap(b[:, 2] - a[:, 2] - measured[:, 2])])
@@ -90,16 +101,31 @@ class FrameGraph:
         return first, second, residual, information, by_first, by_second
 
     def distances(self) -> np.ndarray:
-        """(R,) squared Mahalanobis distance of every relation from where the frames are."""
+        """(R,) squared Mahalanobis distance of every relation from where the frames are, each by itself."""
         _, _, residual, information, _, _ = self._linearised()
         return np.einsum("ri,rij,rj->r", residual, information, residual)
 
-    def _normal(self, robust: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _shares(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """(R,) weights by which loops that rest on one map's samples count as one together.
+
+        How a map is bent shows in all of them, so that they err alike: by the more used of its two maps, each gets an
+        equal part (a covariance intersection). What follows the drive is measured afresh by every map.
+        """
+        far = np.array([r.loop for r in self.relations], dtype=bool) & (second > first + 1)
+        count = len(self.frames)
+        used = np.bincount(first[far], minlength=count) + np.bincount(second[far], minlength=count)
+        return np.where(far, 1.0 / np.maximum(1, np.maximum(used[first], used[second])), 1.0)
+
+    def _normal(
+        self, independent: bool, robust: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Normal equations of all frames but the first: triplets of the matrix, which add up, and the right side."""
         first, second, residual, information, by_first, by_second = self._linearised()
         squared = np.einsum("ri,rij,rj->r", residual, information, residual)
-        weights = 1.0 / (1.0 + squared / CAUCHY) if robust else np.ones(len(squared))
-        weighed = information * weights[:, None, None]
+        weight = 1.0 / (1.0 + squared / CAUCHY) if robust else np.ones(len(squared))
+        if not independent:
+            weight *= self._shares(first, second)
+        weighed = information * weight[:, None, None]
         right, offsets = np.zeros(3 * len(self.frames)), np.arange(3)
         triplets = []
         for p, by_p in ((first, by_first), (second, by_second)):
@@ -123,7 +149,7 @@ class FrameGraph:
     def spread(self) -> Spread:
         """The covariance of the frames, of which there must be two at least."""
         if self._spread is None:
-            rows, columns, values, right = self._normal()
+            rows, columns, values, right = self._normal(independent=False)
             self._spread = spread_of(rows, columns, values, len(right))
         return self._spread
 
@@ -155,3 +181,16 @@ class FrameGraph:
             block[:3, 3:] = spread.block(first, second)
             block[3:, :3] = block[:3, 3:].T
         return np.array([way[0], way[1], float(wrap(b[2] - a[2]))]), design @ block @ design.T
+
+
+def beside_the_end(end: np.ndarray, found: np.ndarray, with_end: np.ndarray) -> np.ndarray:
+    """Information (3, 3) that an overlay of a map by the next one adds to what the first map says of its own end.
+
+    end, found: (3, 3) covariances of the two; with_end: (3, 3) of the overlay's error (rows) with the end's. Both come
+    from one map's scans and err alike: together they know no more than the best linear estimate from both.
+    """
+    joint = np.block([[end, with_end.T], [with_end, found]])
+    both = np.vstack([np.eye(3), np.eye(3)])
+    added = both.T @ np.linalg.solve(joint, both) - np.linalg.inv(end)
+    values, vectors = np.linalg.eigh(0.5 * (added + added.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

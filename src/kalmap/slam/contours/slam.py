@@ -32,7 +32,7 @@ from kalmap.slam.contours.closed import ENOUGH
 from kalmap.slam.contours.held import holding
 from kalmap.slam.contours.leg import OpenLeg, composed
 from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
-from kalmap.slam.contours.loops import Loops
+from kalmap.slam.contours.loops import FLOOR, Loops
 from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
 from kalmap.slam.contours.witness import Witness
 from kalmap.slam.contours.worker import Joined, Placed, Worker, closed, relaid
@@ -197,7 +197,7 @@ class ContourSlam:
         if self._framed is None or self._framed[0] is not placed or self._framed[1] != len(self._ends):
             pose, covariance = composed(self._start, self._start_covariance, placed.pose, placed.covariance)
             for end, spread in self._ends[max(0, placed.count - 1) :]:
-                pose, covariance = composed(pose, covariance, end, spread)
+                pose, covariance = composed(pose, covariance, end, placed.scale * (spread + FLOOR))
             self._framed = placed, len(self._ends), pose, covariance
         return self._framed[2], self._framed[3]
 
@@ -273,7 +273,7 @@ class ContourSlam:
     def _placed(self, loops: Loops) -> tuple[np.ndarray, np.ndarray]:
         """Frames (n, 3) of all local maps and their covariances (n, 3, 3)."""
         count = len(loops.maps)
-        own = loops.graph.own_covariances()[:count]
+        own = loops.own_covariances()[:count]
         return composed(self._start, self._start_covariance, loops.graph.frames[:count], own)
 
     def _counts(self, loops: Loops) -> dict[str, float]:
@@ -283,7 +283,7 @@ class ContourSlam:
             "local_maps": len(loops.maps),
             "loops": sum(relation.loop for relation in loops.graph.relations),
             "loops_open": len(loops.open),
-            "covariance_scale": loops.scale,
+            "covariance_scale": loops.told_scale,
             "bearing_scale": float(calibration.mean[0]),
             "bearing_scale_sigma": float(deviations[0]),
             "range_offset_m": float(calibration.mean[1]),

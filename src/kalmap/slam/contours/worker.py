@@ -42,11 +42,15 @@ class Joined(msgspec.Struct):
 
 
 class Placed(msgspec.Struct, frozen=True, eq=False):
-    """The frame of the newest map that has been joined, number count - 1: pose (3,) and covariance (3, 3)."""
+    """The frame of the newest map that has been joined, number count - 1: pose (3,) and covariance (3, 3).
+
+    scale: of what maps say of their ends, see `Loops.told_scale`.
+    """
 
     count: int
     pose: np.ndarray
     covariance: np.ndarray
+    scale: float
 
 
 def closed(live: LiveMap) -> ClosedMap:
@@ -100,8 +104,8 @@ class Worker:
 
 
 def _placed(joined: Joined) -> Placed:
-    graph = joined.loops.graph
-    count = len(joined.loops.maps)
+    loops = joined.loops
+    count, scale = len(loops.maps), loops.told_scale
     if not count:
-        return Placed(0, np.zeros(3), np.zeros((3, 3)))
-    return Placed(count, graph.frames[-1].copy(), graph.own_covariances()[-1].copy())
+        return Placed(0, np.zeros(3), np.zeros((3, 3)), scale)
+    return Placed(count, loops.graph.frames[-1].copy(), loops.own_covariances()[-1].copy(), scale)
