@@ -1,4 +1,4 @@
-"""A line through measured points, with its covariance.
+"""A line through measured points, and one that may bend by as much as their noise hides, with their covariances.
 
 A point's noise across the curve, whose unit normal is n, is along * (n . ray)^2 + across * (1 - (n . ray)^2) + rough,
 variances in m^2: `along` and `across` the beam that measured it (ray, unit), and the contour's own roughness.
@@ -103,3 +103,66 @@ def fit_line(points, rays, along, across, coef, cov, origin):
     cov[1, 1], cov[2, 2], cov[1, 2] = tx * tx / lever, ty * ty / lever, tx * ty / lever
     cov[2, 1] = cov[1, 2]
     return scale, chi, rough
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bend_equations(points, rays, along, across, rough, sigma_bend, x, coef, origin, scale, normal, right):
+    """Normal equations (3, 3), (3,) of offset, slope and bend about the line in `coef`, weighed by the bend so far."""
+    nx, ny = coef[1], coef[2]
+    normal[:, :] = 0.0
+    right[:] = 0.0
+    normal[2, 2] = 1.0 / (0.5 * sigma_bend * scale) ** 2
+    row = np.ones(3)
+    for n in range(len(points)):
+        dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
+        away, row[1] = nx * dx + ny * dy, ny * dx - nx * dy
+        row[2] = row[1] * row[1]
+        variance = across_variance(nx, ny, rays, along, across, n) + rough
+        far = scale * abs(away - x[0] - x[1] * row[1] - x[2] * row[2]) / math.sqrt(variance)
+        weight = scale * scale / variance * min(1.0, _HUBER / max(far, 1e-12))
+        for i in range(3):
+            right[i] += weight * row[i] * away
+            for j in range(3):
+                normal[i, j] += weight * row[i] * row[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_bent_line(points, rays, along, across, sigma_bend, smooth, coef, cov, origin):
+    """The line of `fit_line`, bent into a parabola: its curvature has a prior of mean 0 and `sigma_bend`, 1/m.
+
+    A straight fit to a wall whose bend the noise hides is off by as much as its own standard deviations, and in every
+    scan the same way. Here the bend is estimated, however little of it shows, and stands in the covariance.
+    Returns scale m, the weighted squares of the residuals, whose variances are `along` + `smooth`, m^2, and rough m^2.
+    """
+    scale, _chi, rough = fit_line(points, rays, along, across, coef, cov, origin)
+    count, nx, ny = len(points), coef[1], coef[2]
+    x, normal, right = np.zeros(3), np.empty((3, 3)), np.empty(3)
+    residuals, variances = np.empty(count), np.empty(count)
+    for turn in range(3):
+        _bend_equations(points, rays, along, across, rough, sigma_bend, x, coef, origin, scale, normal, right)
+        spread = np.linalg.inv(normal)
+        for i in range(3):
+            x[i] = spread[i, 0] * right[0] + spread[i, 1] * right[1] + spread[i, 2] * right[2]
+        if turn == 0:
+            for n in range(count):
+                dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
+                t = ny * dx - nx * dy
+                residuals[n] = scale * (nx * dx + ny * dy - x[0] - x[1] * t - x[2] * t * t)
+                variances[n] = across_variance(nx, ny, rays, along, across, n)
+            rough = excess_variance(residuals, variances, count - 3)[0]
+    squares = 0.0
+    for n in range(count):
+        dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
+        t = ny * dx - nx * dy
+        squares += (scale * (nx * dx + ny * dy - x[0] - x[1] * t - x[2] * t * t)) ** 2 / (along[n] + smooth)
+    design = np.zeros((3, 10))  # the coefficients are linear in offset, slope and bend
+    design[0, 0], design[1, 1], design[1, 2] = -1.0, -ny, nx
+    design[2, 3], design[2, 4], design[2, 5] = -ny * ny, 2.0 * nx * ny, -nx * nx
+    coef += x[0] * design[0] + x[1] * design[1] + x[2] * design[2]
+    for i in range(10):
+        for j in range(10):
+            cov[i, j] = 0.0
+            for k in range(3):
+                for m in range(3):
+                    cov[i, j] += design[k, i] * spread[k, m] * design[m, j]
+    return scale, squares, rough

@@ -7,9 +7,9 @@ from numba import njit
 
 from kalmap.kernels.contour_curves import fit_polynomial, is_sound, weighted_squares
 from kalmap.kernels.contour_cut import line_cost
-from kalmap.kernels.contour_fit import fit_line
+from kalmap.kernels.contour_fit import fit_bent_line, fit_line
 
-_CONIC_PRICE, _CUBIC_PRICE = 20.0, 35.0  # chi-square that three and seven more coefficients must save
+_RUN, _CONIC, _CUBIC = 4, 6, 10  # numbers in a bent run and where it begins; in a conic and in a cubic the same
 _LEAST_CONIC, _LEAST_CUBIC = 7, 11  # points
 _MOST_RUNS = 10  # in one curve
 _JOINT = math.radians(60.0)  # most that a contour turns from one run to the next
@@ -47,7 +47,7 @@ def may_join(sums, a, b, c, points, noise):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def try_curve(points, rays, along, across, rough, limit, highest, coef, cov, origin):
+def try_curve(points, rays, along, across, rough, limit, cost, highest, coef, cov, origin):
     """The lowest order from 2 to `highest` whose curve costs less than `limit` and is sound, 1 if none.
 
     Returns order, scale and the excess variance; fills coef, cov and origin.
@@ -58,7 +58,7 @@ def try_curve(points, rays, along, across, rough, limit, highest, coef, cov, ori
     for degree in (2, 3):
         if degree > highest or count < (_LEAST_CONIC if degree == 2 else _LEAST_CUBIC):
             break
-        left = limit - (_CONIC_PRICE if degree == 2 else _CUBIC_PRICE)
+        left = limit - cost * (_CONIC if degree == 2 else _CUBIC)
         if left <= 0.0:
             break
         scale, _chi, excess, exists = fit_polynomial(
@@ -81,33 +81,53 @@ def copy_fit(coef, cov, origin, to_coef, to_cov, to_origin):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price, highest, coef, cov, origin):
+def shape_run(
+    cuts, run, sums, linked, points, rays, along, across, rough, cost, sigma_bend, highest, coef, cov, origin
+):
     """The piece that begins with run number `run`: fills coef, cov, origin; returns the run after it, order, scale m
     and excess variance m^2.
 
-    Runs are added as long as a conic or a cubic through them all is cheaper than a line each.
+    Runs are added as long as a conic or a cubic through them all explains the points as well as a bent line each,
+    every number of them weighed with `cost` of chi-square. highest 1: straight lines.
     """
     a, most = cuts[run], len(cuts) - 1
     b = cuts[run + 1]
+    if highest == 1:
+        scale, _chi, excess = fit_line(points[a:b], rays[a:b], along[a:b], across[a:b], coef, cov, origin)
+        return run + 1, 1, scale, excess
     after, order, scale, excess = run + 1, 1, 1.0, 0.0
     tried_coef, tried_cov, tried_origin = np.empty(10), np.empty((10, 10)), np.empty(2)
-    lines, failed = 0.0, 0
-    for j in range(run, min(run + _MOST_RUNS, most) if highest > 1 else run):
-        end = cuts[j + 1]
-        if j > run and not (linked[cuts[j] - 1] and may_join(sums, cuts[j - 1], cuts[j], end, points, along)):
+    apart, failed = 0.0, 0
+    for j in range(run, min(run + _MOST_RUNS, most)):
+        begin, end = cuts[j], cuts[j + 1]
+        if j > run and not (linked[begin - 1] and may_join(sums, cuts[j - 1], begin, end, points, along)):
             break
-        own = line_cost(sums, cuts[j], end)
-        lines += own + (price if j > run else 0.0)
-        freedom = max(1, end - a - 2)
-        if j == run and own < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom):
-            continue
+        size, squares, surplus = fit_bent_line(
+            points[begin:end],
+            rays[begin:end],
+            along[begin:end],
+            across[begin:end],
+            sigma_bend,
+            rough,
+            tried_coef,
+            tried_cov,
+            tried_origin,
+        )
+        apart += squares + _RUN * cost
+        if j == run:
+            scale, excess = size, surplus
+            copy_fit(tried_coef, tried_cov, tried_origin, coef, cov, origin)
+            freedom = max(1, end - a - 2)
+            if line_cost(sums, a, end) < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom):
+                continue
         degree, size, surplus = try_curve(
             points[a:end],
             rays[a:end],
             along[a:end],
             across[a:end],
             rough,
-            lines,
+            apart,
+            cost,
             highest,
             tried_coef,
             tried_cov,
@@ -120,6 +140,4 @@ def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price
             failed += 1
             if failed > 1:
                 break
-    if order == 1:
-        scale, _chi, excess = fit_line(points[a:b], rays[a:b], along[a:b], across[a:b], coef, cov, origin)
     return after, order, scale, excess

@@ -49,6 +49,8 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     min_points: int = 4
     min_length: float = 0.05
     max_order: int = 3
+    sigma_bend: float = 1.0
+    parameter_cost: float = 2.0
 
     def __post_init__(self) -> None:
         for name in ("grazing_deg", "steepest_deg", "split_cost"):
@@ -120,6 +122,8 @@ def cut_settings(sensor: SensorConfig, config: CutConfig) -> np.ndarray:
             config.min_points,
             config.min_length,
             config.max_order,
+            config.sigma_bend,
+            config.parameter_cost,
         ],
         dtype=np.float64,
     )
