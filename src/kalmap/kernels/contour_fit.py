@@ -106,29 +106,45 @@ def fit_line(points, rays, along, across, coef, cov, origin):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bend_equations(points, rays, along, across, rough, sigma_bend, x, coef, origin, scale, normal, right):
-    """Normal equations (3, 3), (3,) of offset, slope and bend about the line in `coef`, weighed by the bend so far."""
-    nx, ny = coef[1], coef[2]
-    normal[:, :] = 0.0
-    right[:] = 0.0
-    normal[2, 2] = 1.0 / (0.5 * sigma_bend * scale) ** 2
-    row = np.ones(3)
+def _powers(points, n, coef, origin, scale, row):
+    """Fills row (4,) with 1, t, t^2, t^3 of point n along the line in `coef`; returns its distance, in units of scale."""
+    dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
+    row[0], row[1] = 1.0, coef[2] * dx - coef[1] * dy
+    row[2] = row[1] * row[1]
+    row[3] = row[2] * row[1]
+    return coef[1] * dx + coef[2] * dy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bend(points, variances, prior, coef, origin, scale, shape, spread):
+    """Weighted least squares of the distances from the line on the powers: turns `shape` (4,), from where outliers are
+    judged, into the solution; fills spread (4, 4), its covariance, in units of scale. prior (4,): information."""
+    right, row = np.zeros(4), np.empty(4)
+    spread[:, :] = 0.0
+    for i in range(4):
+        spread[i, i] = prior[i]
     for n in range(len(points)):
-        dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
-        away, row[1] = nx * dx + ny * dy, ny * dx - nx * dy
-        row[2] = row[1] * row[1]
-        variance = across_variance(nx, ny, rays, along, across, n) + rough
-        far = scale * abs(away - x[0] - x[1] * row[1] - x[2] * row[2]) / math.sqrt(variance)
-        weight = scale * scale / variance * min(1.0, _HUBER / max(far, 1e-12))
-        for i in range(3):
+        away = _powers(points, n, coef, origin, scale, row)
+        far = away
+        for i in range(4):
+            far -= shape[i] * row[i]
+        far = scale * abs(far) / math.sqrt(variances[n])
+        weight = scale * scale / variances[n] * min(1.0, _HUBER / max(far, 1e-12))
+        for i in range(4):
             right[i] += weight * row[i] * away
-            for j in range(3):
-                normal[i, j] += weight * row[i] * row[j]
+            for j in range(4):
+                spread[i, j] += weight * row[i] * row[j]
+    spread[:, :] = np.linalg.inv(spread)
+    for i in range(4):
+        shape[i] = 0.0
+        for j in range(4):
+            shape[i] += spread[i, j] * right[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_bent_line(points, rays, along, across, sigma_bend, smooth, coef, cov, origin):
-    """The line of `fit_line`, bent into a parabola: its curvature has a prior of mean 0 and `sigma_bend`, 1/m.
+    """The line of `fit_line` and how it bends: a cubic along it, whose second derivative has a prior of mean 0 and
+    `sigma_bend`, 1/m, and whose third the same, 1/m^2.
 
     A straight fit to a wall whose bend the noise hides is off by as much as its own standard deviations, and in every
     scan the same way. Here the bend is estimated, however little of it shows, and stands in the covariance.
@@ -136,33 +152,30 @@ def fit_bent_line(points, rays, along, across, sigma_bend, smooth, coef, cov, or
     """
     scale, _chi, rough = fit_line(points, rays, along, across, coef, cov, origin)
     count, nx, ny = len(points), coef[1], coef[2]
-    x, normal, right = np.zeros(3), np.empty((3, 3)), np.empty(3)
+    prior = np.zeros(4)
+    prior[2], prior[3] = (2.0 / (sigma_bend * scale)) ** 2, (6.0 / (sigma_bend * scale * scale)) ** 2
+    shape, spread, row = np.zeros(4), np.empty((4, 4)), np.empty(4)
     residuals, variances = np.empty(count), np.empty(count)
+    for n in range(count):
+        variances[n] = across_variance(nx, ny, rays, along, across, n)
     for turn in range(3):
-        _bend_equations(points, rays, along, across, rough, sigma_bend, x, coef, origin, scale, normal, right)
-        spread = np.linalg.inv(normal)
-        for i in range(3):
-            x[i] = spread[i, 0] * right[0] + spread[i, 1] * right[1] + spread[i, 2] * right[2]
+        _bend(points, variances + rough, prior, coef, origin, scale, shape, spread)
+        if turn == 1:
+            continue
+        for n in range(count):
+            residuals[n] = scale * _powers(points, n, coef, origin, scale, row)
+            for i in range(4):
+                residuals[n] -= scale * shape[i] * row[i]
         if turn == 0:
-            for n in range(count):
-                dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
-                t = ny * dx - nx * dy
-                residuals[n] = scale * (nx * dx + ny * dy - x[0] - x[1] * t - x[2] * t * t)
-                variances[n] = across_variance(nx, ny, rays, along, across, n)
-            rough = excess_variance(residuals, variances, count - 3)[0]
+            rough = excess_variance(residuals, variances, count - 4)[0]
     squares = 0.0
     for n in range(count):
-        dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
-        t = ny * dx - nx * dy
-        squares += (scale * (nx * dx + ny * dy - x[0] - x[1] * t - x[2] * t * t)) ** 2 / (along[n] + smooth)
-    design = np.zeros((3, 10))  # the coefficients are linear in offset, slope and bend
+        squares += residuals[n] * residuals[n] / (along[n] + smooth)
+    design = np.zeros((4, 10))  # the coefficients are linear in the shape; t = ny u - nx v
     design[0, 0], design[1, 1], design[1, 2] = -1.0, -ny, nx
     design[2, 3], design[2, 4], design[2, 5] = -ny * ny, 2.0 * nx * ny, -nx * nx
-    coef += x[0] * design[0] + x[1] * design[1] + x[2] * design[2]
-    for i in range(10):
-        for j in range(10):
-            cov[i, j] = 0.0
-            for k in range(3):
-                for m in range(3):
-                    cov[i, j] += design[k, i] * spread[k, m] * design[m, j]
+    design[3, 6], design[3, 9] = -ny * ny * ny, nx * nx * nx
+    design[3, 7], design[3, 8] = 3.0 * ny * ny * nx, -3.0 * ny * nx * nx
+    coef += np.dot(shape, design)
+    cov[:, :] = np.dot(design.T, np.dot(spread, design))
     return scale, squares, rough

@@ -9,7 +9,7 @@ from kalmap.kernels.contour_curves import fit_polynomial, is_sound, weighted_squ
 from kalmap.kernels.contour_cut import line_cost
 from kalmap.kernels.contour_fit import fit_bent_line, fit_line
 
-_RUN, _CONIC, _CUBIC = 4, 6, 10  # numbers in a bent run and where it begins; in a conic and in a cubic the same
+_RUN, _CONIC, _CUBIC = 5, 6, 10  # numbers in a bent run and where it begins; in a conic and in a cubic the same
 _LEAST_CONIC, _LEAST_CUBIC = 7, 11  # points
 _MOST_RUNS = 10  # in one curve
 _JOINT = math.radians(60.0)  # most that a contour turns from one run to the next

@@ -50,7 +50,7 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     min_length: float = 0.05
     max_order: int = 3
     sigma_bend: float = 1.0
-    parameter_cost: float = 2.0
+    parameter_cost: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("grazing_deg", "steepest_deg", "split_cost"):
