@@ -107,7 +107,7 @@ def fit_line(points, rays, along, across, coef, cov, origin):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _powers(points, n, coef, origin, scale, row):
-    """Fills row (4,) with 1, t, t^2, t^3 of point n along the line in `coef`; returns its distance, in units of scale."""
+    """Fills row (4,) with 1, t, t^2, t^3 of point n along the line in `coef`; returns its distance, in scales."""
     dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
     row[0], row[1] = 1.0, coef[2] * dx - coef[1] * dy
     row[2] = row[1] * row[1]
@@ -158,10 +158,8 @@ def fit_bent_line(points, rays, along, across, sigma_bend, smooth, coef, cov, or
     residuals, variances = np.empty(count), np.empty(count)
     for n in range(count):
         variances[n] = across_variance(nx, ny, rays, along, across, n)
-    for turn in range(3):
+    for turn in range(2):
         _bend(points, variances + rough, prior, coef, origin, scale, shape, spread)
-        if turn == 1:
-            continue
         for n in range(count):
             residuals[n] = scale * _powers(points, n, coef, origin, scale, row)
             for i in range(4):
