@@ -39,7 +39,8 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     roughness: m, standard deviation of real walls about a smooth curve, and the least that a piece's sigma is.
     min_points, min_length: a piece of fewer points, or shorter (m), is dropped.
     max_order: of the polynomials; 1: straight lines, else every line bends as its points say.
-    sigma_bend: 1/m, of the curvature of a wall on which no bend shows, and 1/m^2 of its change along the wall.
+    sigma_bend: 1/m, of the curvature of a wall on which no bend shows, and 1/m^2 of its change along the wall. Large,
+        it leaves straight walls' normals to the noise, which looks like progress along them; small, a bend is missed.
     parameter_cost: chi-square that every number of a curve counts for where one curve may stand for several lines.
     """
 
@@ -51,7 +52,7 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     min_points: int = 4
     min_length: float = 0.05
     max_order: int = 3
-    sigma_bend: float = 1.0
+    sigma_bend: float = 0.1
     parameter_cost: float = 1.0
 
     def __post_init__(self) -> None:
