@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from kalmap.geometry.curve_fit import fit_curve
+from kalmap.geometry.curves import Curve
 from kalmap.kernels.contour_curves import invert
+from kalmap.kernels.contour_fit import fit_bent_line, fit_line
 
 TRIALS = 1500
 
@@ -187,3 +189,43 @@ def test_bad_points_are_refused():
         fit_curve(good, np.zeros(3))
     with pytest.raises(ValueError, match="needed"):
         fit_curve(good, np.ones(2))
+
+
+def bent_fit(points, rays, variances, sigma_bend):
+    coef, cov, origin = np.empty(10), np.empty((10, 10)), np.empty(2)
+    scale, squares, _rough = fit_bent_line(
+        points, rays, variances, np.zeros(len(points)), sigma_bend, 0.0, coef, cov, origin
+    )
+    return Curve(coef, origin, scale, 3, cov), squares
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.1])
+def test_a_bent_line_is_the_posterior_of_its_prior(turn):
+    """Oracle: numpy's least squares of a cubic, the prior as two more rows, in the axes of the straight fit."""
+    rng = np.random.default_rng(4)
+    x = np.linspace(-1.0, 1.4, 40)
+    points = np.column_stack([x, 3.0 + 0.04 * x**2 - 0.02 * x**3 + 0.01 * rng.standard_normal(40)])
+    c, s = np.cos(turn), np.sin(turn)
+    points = points @ np.array([[c, s], [-s, c]])
+    rays = np.tile([-s, c], (40, 1))
+    variances = rng.uniform(0.8, 1.2, 40) * 1e-4
+    curve, squares = bent_fit(points, rays, variances, 0.1)
+    coef, cov, origin = np.empty(10), np.empty((10, 10)), np.empty(2)
+    fit_line(points, rays, variances, np.zeros(40), coef, cov, origin)
+    nx, ny = coef[1], coef[2]
+    away, along = (points - origin) @ [nx, ny], (points - origin) @ [ny, -nx]
+    sigma = np.sqrt(variances) * abs(rays[0] @ [nx, ny])
+    rows = np.vander(along, 4, increasing=True) / sigma[:, None]
+    rows = np.vstack([rows, [0, 0, 2 / 0.1, 0], [0, 0, 0, 6 / 0.1]])
+    shape = np.linalg.lstsq(rows, np.r_[away / sigma, 0.0, 0.0], rcond=None)[0]
+    at = np.linspace(-1.0, 1.0, 7)
+    powers = np.vander(at, 4, increasing=True)
+    feet = origin + np.outer(at, [ny, -nx]) + np.outer(powers @ shape, [nx, ny])
+    np.testing.assert_allclose(curve.distance(feet), 0.0, atol=1e-9)
+    expected = powers @ np.linalg.inv(rows.T @ rows) @ powers.T
+    steep = np.linalg.norm(curve.gradient(feet), axis=1) * curve.scale
+    np.testing.assert_allclose(
+        curve.distance_covariance(feet), expected / np.outer(steep, steep), rtol=1e-6, atol=1e-12
+    )
+    left = away - np.vander(along, 4, increasing=True) @ shape
+    assert squares == pytest.approx(np.sum(left**2 / variances), rel=1e-6)

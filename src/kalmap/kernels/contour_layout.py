@@ -11,7 +11,9 @@ SPLIT_COST = 10  # chi-square that one more piece must save
 ROUGHNESS = 11  # m, standard deviation of real walls about a smooth curve
 MIN_POINTS, MIN_LENGTH = 12, 13
 MAX_ORDER = 14
-SIZE = 15
+SIGMA_BEND = 15  # 1/m, curvature of a wall on which no bend shows
+PARAMETER_COST = 16  # chi-square that one more number in a curve must save
+SIZE = 17
 
 END, CORNER, HIDDEN, VIEW, SILENT, ONWARD = 0, 1, 2, 3, 4, 5
 """How a piece ends. END: the contour stops, the next beam goes past it. CORNER: another piece begins there. HIDDEN:

@@ -24,13 +24,15 @@ from kalmap.kernels.contour_layout import (
     MOUNT_X,
     MOUNT_Y,
     ONWARD,
+    PARAMETER_COST,
     ROUGHNESS,
     SIGMA_BEAM,
+    SIGMA_BEND,
     SILENT,
     SPLIT_COST,
     VIEW,
 )
-from kalmap.kernels.contour_shapes import shape_run
+from kalmap.kernels.contour_shapes import bend_runs, copy_fit, shape_run
 from kalmap.kernels.implicit import evaluate, monomials, project, signed_distance
 
 _ASIDE = 0.15  # m, most that a point may lie beside a piece to be its continuation
@@ -196,9 +198,18 @@ def fit_runs(linked, points, rays, along, across, settings, coef, cov, origin, s
     sums = np.empty((len(points) + 1, 6))
     running_sums(points, along, rough, sums)
     cuts = straight_runs(sums, linked, price)
+    runs = len(cuts) - 1
+    bent, spread, place, plain = (
+        np.empty((runs, 10)),
+        np.empty((runs, 10, 10)),
+        np.empty((runs, 2)),
+        np.empty((runs, 3)),
+    )
+    sigma_bend = settings[SIGMA_BEND] if highest > 1 else 0.0
+    bend_runs(cuts, points, rays, along, across, rough, sigma_bend, bent, spread, place, plain)
     k, run = 0, 0
-    while run < len(cuts) - 1:
-        a = cuts[run]
+    while run < runs:
+        a, first = cuts[run], run
         if cuts[run + 1] - a < 2:
             run += 1
             continue
@@ -212,12 +223,16 @@ def fit_runs(linked, points, rays, along, across, settings, coef, cov, origin, s
             along,
             across,
             rough,
-            price,
+            settings[PARAMETER_COST],
             highest,
+            plain[:, 1],
             coef[k],
             cov[k],
             origin[k],
         )
+        if degree == 1:
+            scale, excess = plain[first, 0], plain[first, 2]
+            copy_fit(bent[first], spread[first], place[first], coef[k], cov[k], origin[k])
         b = cuts[run]
         length = end_points(degree, coef[k], origin[k], scale, points[a:b], ends[k])
         if b - a < settings[MIN_POINTS] or not length >= settings[MIN_LENGTH]:

@@ -1,4 +1,4 @@
-"""Straight runs of a scan made into pieces: a line each, or a conic or cubic where that explains several better."""
+"""Straight runs of a scan made into pieces: a bent line each, or one conic or cubic that explains several as well."""
 
 import math
 
@@ -7,9 +7,13 @@ from numba import njit
 
 from kalmap.kernels.contour_curves import fit_polynomial, is_sound, weighted_squares
 from kalmap.kernels.contour_cut import line_cost
-from kalmap.kernels.contour_fit import fit_line
+from kalmap.kernels.contour_fit import fit_bent_line, fit_line
 
-_CONIC_PRICE, _CUBIC_PRICE = 20.0, 35.0  # chi-square that three and seven more coefficients must save
+_RUN, _CONIC, _CUBIC = (
+    5,
+    6,
+    10,
+)  # numbers in a bent line, a conic and a cubic, and one more for where each begins
 _LEAST_CONIC, _LEAST_CUBIC = 7, 11  # points
 _MOST_RUNS = 10  # in one curve
 _JOINT = math.radians(60.0)  # most that a contour turns from one run to the next
@@ -47,8 +51,10 @@ def may_join(sums, a, b, c, points, noise):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def try_curve(points, rays, along, across, rough, limit, highest, coef, cov, origin):
+def try_curve(points, rays, along, across, rough, limit, cost, highest, coef, cov, origin):
     """The lowest order from 2 to `highest` whose curve costs less than `limit` and is sound, 1 if none.
+
+    cost: chi-square that every number of it counts for.
 
     Returns order, scale and the excess variance; fills coef, cov and origin.
     """
@@ -58,7 +64,7 @@ def try_curve(points, rays, along, across, rough, limit, highest, coef, cov, ori
     for degree in (2, 3):
         if degree > highest or count < (_LEAST_CONIC if degree == 2 else _LEAST_CUBIC):
             break
-        left = limit - (_CONIC_PRICE if degree == 2 else _CUBIC_PRICE)
+        left = limit - cost * (_CONIC if degree == 2 else _CUBIC)
         if left <= 0.0:
             break
         scale, _chi, excess, exists = fit_polynomial(
@@ -81,25 +87,44 @@ def copy_fit(coef, cov, origin, to_coef, to_cov, to_origin):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price, highest, coef, cov, origin):
-    """The piece that begins with run number `run`: fills coef, cov, origin; returns the run after it, order, scale m
-    and excess variance m^2.
+def bend_runs(cuts, points, rays, along, across, rough, sigma_bend, coef, cov, origin, shape):
+    """A line through every run, bent as `fit_bent_line` does: fills the rows of coef (R, 10), cov (R, 10, 10), origin
+    (R, 2), shape (R, 3: scale m, squares by `along` + `rough`, excess variance m^2). sigma_bend 0: straight lines."""
+    for r in range(len(cuts) - 1):
+        a, b = cuts[r], cuts[r + 1]
+        if b - a < 2:
+            continue
+        if sigma_bend > 0.0:
+            shape[r, 0], shape[r, 1], shape[r, 2] = fit_bent_line(
+                points[a:b], rays[a:b], along[a:b], across[a:b], sigma_bend, rough, coef[r], cov[r], origin[r]
+            )
+        else:
+            shape[r, 0], shape[r, 1], shape[r, 2] = fit_line(
+                points[a:b], rays[a:b], along[a:b], across[a:b], coef[r], cov[r], origin[r]
+            )
 
-    Runs are added as long as a conic or a cubic through them all is cheaper than a line each.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shape_run(
+    cuts, run, sums, linked, points, rays, along, across, rough, cost, highest, squares, coef, cov, origin
+):
+    """A conic or cubic that begins with run number `run`: fills coef, cov, origin; returns the run after it, order,
+    scale m and excess variance m^2. Order 1: there is none, and nothing is filled.
+
+    Runs are added as long as one curve explains them all as well as a bent line each, whose weighted squares are
+    `squares` (R,), every number of both weighed with `cost`: a misfit within the noise of one scan is the same in all.
     """
     a, most = cuts[run], len(cuts) - 1
-    b = cuts[run + 1]
     after, order, scale, excess = run + 1, 1, 1.0, 0.0
     tried_coef, tried_cov, tried_origin = np.empty(10), np.empty((10, 10)), np.empty(2)
-    lines, failed = 0.0, 0
+    apart, failed = 0.0, 0
     for j in range(run, min(run + _MOST_RUNS, most) if highest > 1 else run):
-        end = cuts[j + 1]
-        if j > run and not (linked[cuts[j] - 1] and may_join(sums, cuts[j - 1], cuts[j], end, points, along)):
+        begin, end = cuts[j], cuts[j + 1]
+        if j > run and not (linked[begin - 1] and may_join(sums, cuts[j - 1], begin, end, points, along)):
             break
-        own = line_cost(sums, cuts[j], end)
-        lines += own + (price if j > run else 0.0)
+        apart += (squares[j] if end - begin > 1 else 0.0) + _RUN * cost
         freedom = max(1, end - a - 2)
-        if j == run and own < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom):
+        if j == run and line_cost(sums, a, end) < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom):
             continue
         degree, size, surplus = try_curve(
             points[a:end],
@@ -107,7 +132,8 @@ def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price
             along[a:end],
             across[a:end],
             rough,
-            lines,
+            apart,
+            cost,
             highest,
             tried_coef,
             tried_cov,
@@ -120,6 +146,4 @@ def shape_run(cuts, run, sums, linked, points, rays, along, across, rough, price
             failed += 1
             if failed > 1:
                 break
-    if order == 1:
-        scale, _chi, excess = fit_line(points[a:b], rays[a:b], along[a:b], across[a:b], coef, cov, origin)
     return after, order, scale, excess

@@ -39,7 +39,10 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     split_cost: chi-square that cutting a run in two must save.
     roughness: m, standard deviation of real walls about a smooth curve, and the least that a piece's sigma is.
     min_points, min_length: a piece of fewer points, or shorter (m), is dropped.
-    max_order: of the polynomials.
+    max_order: of the polynomials; 1: straight lines, else every line bends as its points say.
+    sigma_bend: 1/m, of the curvature of a wall on which no bend shows, and 1/m^2 of its change along the wall. Large,
+        it leaves straight walls' normals to the noise, which looks like progress along them; small, a bend is missed.
+    parameter_cost: chi-square that every number of a curve counts for where one curve may stand for several lines.
     """
 
     sigma_beam_deg: float = 0.1
@@ -50,12 +53,14 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     min_points: int = 4
     min_length: float = 0.05
     max_order: int = 3
+    sigma_bend: float = 0.1
+    parameter_cost: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("grazing_deg", "steepest_deg", "split_cost"):
+        for name in ("grazing_deg", "steepest_deg", "split_cost", "sigma_bend"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ConfigError(f"contours: {name} must be finite and positive, got {getattr(self, name)}")
-        for name in ("sigma_beam_deg", "roughness", "min_length"):
+        for name in ("sigma_beam_deg", "roughness", "min_length", "parameter_cost"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise ConfigError(
                     f"contours: {name} must be finite and not negative, got {getattr(self, name)}"
@@ -70,7 +75,8 @@ class Pieces(msgspec.Struct, frozen=True, eq=False):
     """K pieces of contour in the robot's frame, in the order of the beams, anticlockwise.
 
     coef: (K, 10), cov: (K, 10, 10), origin: (K, 2), scale: (K,), order: (K,) int64, as in `kalmap.geometry.curves`;
-        p grows towards the sensor.
+        p grows towards the sensor. A piece of order 1 is a line where no bend shows; its higher coefficients and
+        their covariance are the little bend that the noise may hide (`kernels.contour_fit.fit_bent_line`).
     sigma: (K,) m, the contour's own roughness about the curve, to be added to every distance by itself.
     first, last: (K,) int64, indices into the scan's beams.
     ends: (K, 2, 2) m, on the curve, first and last. kinds: (K, 2) int64, see `EndKind`.
@@ -121,6 +127,8 @@ def cut_settings(sensor: SensorConfig, config: CutConfig) -> np.ndarray:
             config.min_points,
             config.min_length,
             config.max_order,
+            config.sigma_bend,
+            config.parameter_cost,
         ],
         dtype=np.float64,
     )

@@ -312,12 +312,8 @@ class LiveMap:
             return
         indices, piece = kernel.SAMPLES + 2 * rows, found[rows]
         belief.flush()
-        at = belief.mean
-        if not self._setup[
-            kernel.RULE
-        ]:  # a Jacobian is taken where the scan fits best, sigma points about the mean
-            at = belief.mean.copy()
-            at[:3] = fitted
+        at = belief.mean.copy()  # the derivatives are taken where the scan fits best
+        at[:3] = fitted
         matrices, distances = np.empty((len(rows), 7)), np.empty(len(rows))
         residuals = np.empty(len(rows))
         status = kernel.regress_distances(
