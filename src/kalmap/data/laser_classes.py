@@ -11,7 +11,7 @@ import numpy as np
 
 from kalmap.data.drive import Drive
 from kalmap.data.odometry_gaps import INDOOR
-from kalmap.records import ContourConfig, RunConfig, SensorConfig
+from kalmap.records import ContourConfig, FilterConfig, RunConfig, SensorConfig
 
 
 class LaserClass(msgspec.Struct, frozen=True):
@@ -71,6 +71,7 @@ def laser_defaults(drive: Drive, stated: float = np.inf) -> RunConfig:
     widest = max((float(np.abs(bearings).max(initial=0.0)) for bearings in drive.bearings), default=0.0)
     x, y, heading = drive.mount.tolist()
     return RunConfig(
+        filter=FilterConfig(name="ekf"),
         motion=INDOOR,
         sensor=SensorConfig(
             mount_x=x,

@@ -8,7 +8,7 @@ import sys
 import msgspec
 import numpy as np
 
-from kalmap.records import ConfigError, ContourConfig, MotionConfig, RunConfig, SensorConfig
+from kalmap.records import ConfigError, ContourConfig, FilterConfig, MotionConfig, RunConfig, SensorConfig
 from kalmap.simulate.raycast import SICK_180, URG, Scanner
 
 URG_REPORTED = 5.6
@@ -113,6 +113,7 @@ class FloorWorld(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         """The settings of an estimator that knows this robot and scanner and their noise, but not their systematic
         errors: those of the odometry, mixed pixels, people."""
         return RunConfig(
+            filter=FilterConfig(name="ekf"),
             motion=MotionConfig(
                 model="increments",
                 sigma_distance_ratio=self.sigma_distance_ratio,
