@@ -11,6 +11,7 @@ from kalmap.gaussian import Belief, Lineariser, NotPositiveError
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse, rotate
 from kalmap.kernels import contour as kernel
+from kalmap.kernels.contour_noise import fill_noise
 from kalmap.kernels.implicit import distance_rows
 from kalmap.kernels.layout import BIAS_COUNT, OK
 from kalmap.kernels.packed import pack
@@ -352,8 +353,8 @@ class LiveMap:
         """Take the distances' derivatives along the normals as all scans so far have shown them, not this one alone.
 
         The noise of one scan's normal stands in the derivative as if it were known: squared, it seems to hold the
-        vehicle along its walls (Fuller 1987, Measurement Error Models, section 1.1). Normals of many scans err less, and
-        the same way every time.
+        vehicle along its walls (Fuller 1987, Measurement Error Models, section 1.1). Normals of many scans err less,
+        and the same way every time.
         """
         seen, weight = matrices[:, 5:7], self.sightings[rows, None]
         steep = np.hypot(*seen.T)[:, None]
@@ -372,19 +373,11 @@ class LiveMap:
         Points on one curve share its uncertainty; each has the contour's roughness of its own. A scan is not quite
         what the curves' own covariance says: it is taken while the vehicle moves, and walls reflect unevenly.
         """
-        noise = np.zeros((len(points), len(points)))
-        settings = self.rules.contour
-        for k in np.unique(piece):
-            at = np.flatnonzero(piece == k)
-            rows = np.empty((len(at), 10))
-            ox, oy = pieces.origin[k]
-            distance_rows(pieces.coef[k], ox, oy, pieces.scale[k], points[at], rows)
-            along = points[at] - pieces.origin[k]
-            lever = along @ (pieces.ends[k, 1] - pieces.ends[k, 0]) / max(1e-9, pieces.lengths[k])
-            block = rows @ pieces.cov[k] @ rows.T + settings.sigma_offset**2
-            block += math.radians(settings.sigma_askew_deg) ** 2 * np.outer(lever, lever)
-            block[np.diag_indices(len(at))] += pieces.sigma[k] ** 2
-            noise[np.ix_(at, at)] = block
+        noise, settings = np.empty((len(points), len(points))), self.rules.contour
+        fill_noise(
+            points, piece, pieces.coef, pieces.cov, pieces.origin, pieces.scale, pieces.sigma, pieces.ends,
+            pieces.lengths, settings.sigma_offset**2, math.radians(settings.sigma_askew_deg) ** 2, noise,
+        )  # fmt: skip
         return noise
 
     def _found(self, seen: Seen) -> None:
