@@ -300,7 +300,7 @@ def test_headers_that_contradict_themselves_are_refused(saved, tmp_path, change)
     with pytest.raises(LogError) as caught:
         ContourSlam.load(path)
     assert caught.value.file == path
-    assert FORMAT == "kalmap-contours/1"
+    assert FORMAT == "kalmap-contours/2"
 
 
 def test_relations_between_maps_that_are_not_there_are_refused(saved, tmp_path):

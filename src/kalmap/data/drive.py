@@ -248,7 +248,9 @@ def silence_notes(drive: Drive) -> tuple[str, ...]:
     crossed = []
     for each in drive.silences:
         beside = stamps[(rows >= each.first) & (rows <= each.last)]
-        if len(beside) and beside.min() <= each.begin and beside.max() >= each.end:
+        inside = drive.stamps[each.first : each.last + 1]
+        left_out = ((inside > each.begin) & (inside < each.end)).any()
+        if left_out or (len(beside) and beside.min() <= each.begin and beside.max() >= each.end):
             crossed.append(each)
     if not crossed:
         return ()

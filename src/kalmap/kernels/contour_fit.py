@@ -134,6 +134,9 @@ def _bend(points, variances, prior, coef, origin, scale, shape, spread):
             right[i] += weight * row[i] * away
             for j in range(4):
                 spread[i, j] += weight * row[i] * row[j]
+    for i in range(4):
+        spread[i, i] *= 1.0 + 1e-9  # points that coincide say nothing of the slope
+        spread[i, i] += 1e-12
     spread[:, :] = np.linalg.inv(spread)
     for i in range(4):
         shape[i] = 0.0

@@ -27,7 +27,7 @@ from kalmap.slam.contours.worker import Joined, Worker
 if TYPE_CHECKING:
     from kalmap.slam.contours.slam import ContourSlam
 
-FORMAT = "kalmap-contours/1"
+FORMAT = "kalmap-contours/2"
 
 
 class _Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -123,8 +123,8 @@ class Shape(msgspec.Struct, frozen=True, eq=False, dict=True):
 def _across(ends: np.ndarray, facing: np.ndarray) -> np.ndarray:
     """(S, 2) unit normals of segments (S, 2, 2), on the side of `facing` (S, 2).
 
-    What one scan said of a sample's normal when it was new is several times less sure than the way from one sample to
-    the next, and the map does not know how unsure it is.
+    What scans said of a sample's normal is less sure than the way from one sample to the next, and the map does not
+    know how unsure it is.
     """
     way = ends[:, 1] - ends[:, 0]
     normals = np.column_stack([-way[:, 1], way[:, 0]])

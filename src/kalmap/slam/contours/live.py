@@ -321,7 +321,7 @@ class LiveMap:
             self._setup, at, belief.packed, self.rules.mount, indices, piece, pieces.coef, pieces.origin, pieces.scale,
             matrices, distances, residuals,
         )  # fmt: skip
-        self._face(rows, at, fitted[2], indices, matrices)
+        self._face(rows, at, indices, matrices)
         moved = belief.mean[:3] - at[:3]
         moved[2] = wrap(moved[2])
         innovation = -distances - matrices[:, :3] @ moved
@@ -347,21 +347,19 @@ class LiveMap:
         self.used = len(rows)
         self.sightings[rows] += 1
 
-    def _face(
-        self, rows: np.ndarray, at: np.ndarray, heading: float, indices: np.ndarray, matrices: np.ndarray
-    ) -> None:
+    def _face(self, rows: np.ndarray, at: np.ndarray, indices: np.ndarray, matrices: np.ndarray) -> None:
         """Take the distances' derivatives along the normals as all scans so far have shown them, not this one alone.
 
         The noise of one scan's normal stands in the derivative as if it were known: squared, it seems to hold the
         vehicle along its walls (Fuller 1987, Measurement Error Models, section 1.1). Normals of many scans err less,
-        and the same way every time.
+        and the same way every time. What the distances say of the scanner's calibration is left as this scan has it.
         """
         seen, weight = matrices[:, 5:7], self.sightings[rows, None]
         steep = np.hypot(*seen.T)[:, None]
-        mean = weight * self.normals[rows] + rotate(heading - at[2], seen / steep)
+        mean = weight * self.normals[rows] + seen / steep
         mean /= np.hypot(*mean.T)[:, None]
         self.normals[rows] = mean
-        change = steep * rotate(at[2] - heading, mean) - seen
+        change = steep * mean - seen
         away = at[indices[:, None] + np.arange(2)] - at[:2]
         matrices[:, 5:7] += change
         matrices[:, :2] -= change

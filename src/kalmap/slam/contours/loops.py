@@ -146,7 +146,11 @@ class Loops:
     def _lost(self, number: int) -> np.ndarray:
         """The earlier maps on which the drive does not know the place of a map within what is searched about it."""
         return np.array(
-            [first for first in range(number) if _is_lost(self.graph.between(first, number)[1])],
+            [
+                first
+                for first in range(max(0, number - RECENT))
+                if _is_lost(self.graph.between(first, number)[1])
+            ],
             dtype=np.int64,
         )
 

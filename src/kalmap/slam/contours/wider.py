@@ -2,7 +2,7 @@
 
 Where the drive does not know any more where a map lies on an earlier one, maps are compared by what does not
 change when they are turned or moved (how their contours lie to each other, pair by pair), and laid over the most
-alike ones in every way that is possible. One such place proves nothing: halls and corridors repeat themselves. Places
+alike ones, turned in every way. One such place proves nothing: halls and corridors repeat themselves. Places
 of several maps in a row must agree, each moved on by the drive between, and nothing else may be nearly as well borne
 out.
 """
@@ -97,9 +97,9 @@ def most_alike(signatures: np.ndarray, number: int, among: np.ndarray) -> np.nda
 
     By the cosine of the roots of the shares, what many maps have counting less.
     """
-    rare = np.log(len(signatures) / np.maximum(1.0, (signatures > 0.0).sum(axis=0)))
+    rare = np.log(len(signatures) / np.maximum(1.0, (signatures > 0.0).sum(axis=0))).astype(np.float32)
     roots = np.sqrt(signatures * rare)
-    roots /= np.maximum(1e-12, np.linalg.norm(roots, axis=1))[:, None]
+    roots /= np.maximum(np.float32(1e-12), np.linalg.norm(roots, axis=1))[:, None]
     return np.asarray(among[np.argsort(-(roots[among] @ roots[number]), kind="stable")])
 
 

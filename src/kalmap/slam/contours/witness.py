@@ -14,6 +14,7 @@ from kalmap.slam.contours.live import Rules, Seen, prepare
 
 SCANS = 8  # of a map, spread over its leg, that are asked
 LIMIT = 0.15  # m, how far a sample may lie from what the scan shows
+KEPT = 64  # maps whose scans stay cut
 ASKED = 40  # samples, least that must be answered for
 
 
@@ -59,6 +60,8 @@ class Witness:
     def _of(self, number: int) -> list[tuple[np.ndarray, Seen]]:
         """Scans of a map with their places in it, by how far the vehicle had come."""
         if number not in self._views:
+            if len(self._views) == KEPT:
+                del self._views[next(iter(self._views))]
             leg = self._legs[number]
             way = np.cumsum(np.hypot(*np.diff(leg.poses[:, :2], axis=0, prepend=leg.poses[:1, :2]).T))
             rows = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], SCANS)).clip(0, len(way) - 1))
