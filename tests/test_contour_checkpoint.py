@@ -15,9 +15,10 @@ from kalmap.slam.contours.checkpoint import FORMAT
 from kalmap.slam.contours.graph import FrameGraph
 from kalmap.slam.contours.live import LiveMap
 from kalmap.slam.contours.loops import Loops
+from kalmap.slam.contours.matching import Overlay
 from kalmap.slam.contours.scan_store import scans_of, stored_scans
 from kalmap.slam.contours.slam import ContourSlam
-from kalmap.slam.contours.wider import Wider
+from kalmap.slam.contours.wider import Glimpse, Wider
 from test_checkpoint import rewrite
 from test_set_checkpoint import parts_of
 
@@ -180,6 +181,25 @@ def test_everything_that_is_known_is_saved():
             "frame_revisions",
         ),
     }
+
+
+def test_places_of_lost_maps_are_kept(log, events, tmp_path):
+    """What was found for maps whose place is not known yet comes back as it was, and one between no maps is refused."""
+    slam = mapper(log)
+    for event in events:
+        slam.step(event)
+    looks = slam._worker.settled().loops.wider
+    found = Overlay(np.array([1.0, 2.0, 0.5]), 1e-3 * np.eye(3), 1e-4 * np.eye(3), 21.0, 0.95, 60.0, 77)
+    looks.glimpses.append(Glimpse(0, 1, found))
+    slam.save(tmp_path / "lost.kalmap")
+    (again,) = ContourSlam.load(tmp_path / "lost.kalmap")._worker.settled().loops.wider.glimpses
+    assert (again.first, again.second, again.matched, again.found.freedom) == (0, 1, 21.0, 77)
+    for name in ("pose", "covariance", "with_end"):
+        assert np.array_equal(getattr(again.found, name), getattr(found, name))
+    looks.glimpses.append(Glimpse(0, 99, found))
+    slam.save(tmp_path / "nowhere.kalmap")
+    with pytest.raises(LogError, match="maps that are not there"):
+        ContourSlam.load(tmp_path / "nowhere.kalmap")
 
 
 def test_scans_are_kept_small(log, events, tmp_path):
