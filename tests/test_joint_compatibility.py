@@ -55,7 +55,10 @@ def problem(
     if not shared:
         matrix[:, :3] = 0.0
     expected = np.column_stack([np.hypot(*place.T), np.arctan2(place[:, 1], place[:, 0])])
-    seen = expected + (matrix @ rng.multivariate_normal(np.zeros(size), covariance)).reshape(-1, 2)
+    # by Cholesky: which root the default takes is rounding's, and so the problem would be another on every machine
+    seen = expected + (
+        matrix @ rng.multivariate_normal(np.zeros(size), covariance, method="cholesky")
+    ).reshape(-1, 2)
     source = rng.permutation(max(sightings, landmarks))[:sightings] % landmarks
     z = seen[source] + rng.standard_normal((sightings, 2)) * np.sqrt(np.diag(NOISE))
     strange = rng.random(sightings) < strangers
