@@ -297,9 +297,9 @@ def test_settings_that_contradict_each_other_are_refused():
     assert ContourSlam(Ackermann(), settings=ContourConfig(method="slasem")).landmark_count == 0
 
 
-def test_a_scan_of_nothing_that_is_there_seldom_moves_the_robot():
-    """Independent: the drive without them. Two scans of surfaces drawn at random, 30 times: they leave the pose within
-    10 cm but for one time in four, where by chance they fit elsewhere as well as scans do as a rule."""
+def test_a_scan_of_nothing_that_is_there_does_not_move_the_robot():
+    """Independent: the drive without them. Two scans of surfaces drawn at random, 30 times: every time they are used,
+    and leave the pose within 5 cm."""
     log, apart = drive(), []
     events = list(log.open(None))[:100]
     good = mapper(log, "slasem")
@@ -312,8 +312,7 @@ def test_a_scan_of_nothing_that_is_there_seldom_moves_the_robot():
                 event = msgspec.structs.replace(event, ranges=np.repeat(rng.uniform(0.7, 4.0, 12), 10))
             slam.step(event)
         apart.append(np.abs(slam.pose - good.pose).max())
-    assert max(apart) > 0.001  # they are looked at
-    assert (np.array(apart) > 0.1).mean() < 0.25
+    assert min(apart) > 0.0 and max(apart) < 0.05
 
 
 @pytest.mark.parametrize("background", [False, True])

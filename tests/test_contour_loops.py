@@ -12,7 +12,7 @@ from kalmap.geometry.se2 import compose, inverse
 from kalmap.simulate.catalogue import world_by_name
 from kalmap.simulate.floor_run import simulate_floor
 from kalmap.simulate.rooms import rooms_world
-from kalmap.slam.contours.loops import Loops
+from kalmap.slam.contours.loops import CONTRADICTS, Loops
 from kalmap.slam.contours.matching import Overlay
 from made_maps import made_map, room
 
@@ -87,14 +87,19 @@ def test_two_rooms_that_are_the_same_are_not_confused():
         assert (0, 2) not in pairs(loops) or off[2] < 0.1
         told.append("loop" if (0, 2) in pairs(loops) else loops.open.get((0, 2), "nothing found"))
     assert told.count("nothing found") < 5
+    for seed in range(8):  # and to 2 m, which is more than is searched: never believed
+        loops, _ = driven(places, sigma=2.0, turn=0.05, seed=seed)
+        assert (0, 2) not in pairs(loops)
 
 
 def test_a_place_that_contradicts_the_drive_is_not_believed():
     """Another room that looks the same, 6.3 m away by an odometry that is sure: no loop."""
     loops, frames = driven([HERE[0], (moved(ROOM, 6.3, 0.0), [9.3, 2.0, 0.1])], sigma=0.05)
     assert pairs(loops) == set()
-    loops, frames = driven([HERE[0], AWAY, (moved(ROOM, 1.2, 0.0), [4.2, 2.0, 0.1])], sigma=0.05)
+    loops, _ = driven([HERE[0], AWAY, (moved(ROOM, 1.2, 0.0), [4.2, 2.0, 0.1])], sigma=0.05)
     assert pairs(loops) == set() and (0, 2) in loops.open
+    loops, frames = driven([HERE[0], AWAY, (moved(ROOM, 0.9, 0.0), [3.9, 2.0, 0.1])], sigma=0.05)
+    assert pairs(loops) == set() and loops.open[0, 2].startswith(CONTRADICTS)
     assert errors(loops, frames)[0].max() < 0.3
 
 
