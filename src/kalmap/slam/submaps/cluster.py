@@ -13,8 +13,9 @@ Grown = tuple[Tree[M], int]  # a tree, and how many joins were refused while it 
 def join_on_cluster(client: Any, joiner: Joiner[M], maps: Iterable[M]) -> Forest[M]:
     """What a `Forest` makes of these maps, `finish` included, with every join where a worker is free.
 
-    client: a `distributed.Client`. The joins are those of the binary counter and the numbers the same to the last bit,
-    on machines that calculate alike; joins that do not need each other run at the same time.
+    client: a `distributed.Client`. joiner: `LandmarkJoiner`, `join_contours`, or another; it and the maps must pickle.
+    The joins are those of the binary counter and the numbers the same to the last bit, on machines that calculate
+    alike; joins that do not need each other run at the same time.
     """
     standing: list[tuple[int, Any]] = []  # level and future of each tree
     for each in maps:
