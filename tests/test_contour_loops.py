@@ -12,8 +12,10 @@ from kalmap.geometry.se2 import compose, inverse
 from kalmap.simulate.catalogue import world_by_name
 from kalmap.simulate.floor_run import simulate_floor
 from kalmap.simulate.rooms import rooms_world
-from kalmap.slam.contours.loops import CONTRADICTS, Loops
+from kalmap.slam.contours.belief import CONTRADICTS
+from kalmap.slam.contours.loops import Loops
 from kalmap.slam.contours.matching import Overlay
+from kalmap.slam.contours.wider import Glimpse
 from made_maps import made_map, room
 
 ROOM = [*room(0.0, 0.0, 6.0, 4.0), [1.5, 2.8, 1.5, 1.2], [1.5, 1.2, 2.4, 1.2]]
@@ -125,7 +127,7 @@ def test_a_false_place_that_maps_vote_for_is_undone():
         Overlay(compose(inverse(frames[k]), shifted), 1e-4 * np.eye(3), np.zeros((3, 3)), 15.0, 0.9, 10.0, 70)
         for k in (0, 1)
     ]
-    loops._vote(3, list(zip((0, 1), false, strict=True)))
+    loops._vote([Glimpse(k, 3, place) for k, place in enumerate(false)])
     assert np.array_equal(loops.graph.frames, before) and loops.open == kept
     assert pairs(loops) == {(i, j) for j in range(4) for i in range(j)}
     assert errors(loops, frames)[0].max() < 0.03

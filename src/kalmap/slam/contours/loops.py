@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+
 import numpy as np
 
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
+from kalmap.slam.contours.belief import (
+    FLOOR,
+    GATE,
+    SURE,
+    SURE_TURN,
+    Verdict,
+    contradicted,
+    contradicts_drive,
+    enough,
+    judged,
+    may_be_tried,
+    squared_off,
+)
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.graph import FrameGraph, Relation, beside_the_end
 from kalmap.slam.contours.matching import Overlay, overlay, search
 from kalmap.slam.contours.wider import RECENT, Glimpse, Wider
 from kalmap.slam.contours.witness import Witness
 
-GATE = 16.3  # squared distance of three numbers that chance exceeds once in a thousand
-LEAST_MATCHED = 8.0  # m of contour that must lie on each other
-LEAST_AGREEMENT = 0.75
-AMBIGUOUS = 0.8  # a second place this good, as a share of the best, leaves the loop open
-CONTRADICTS = "the place contradicts the drive"
 VOTES = 2  # maps that must say the same against the drive
 VOTED_MATCHED = 20.0  # m of contour that they must say it of
-FARTHEST = 10.0 * GATE  # squared distance beyond which a place is not tried against the drive
-TRIED_AGREEMENT = 0.85  # against the drive more must agree than with it
 MOST_TRIED = 10  # of the places that are doubted
 WIDEST, FARTHEST_TURN = 8.0, 0.7  # m and rad, the largest search
-SURE, SURE_TURN = 0.5, 0.1  # m and rad: where the place is known better than this, there is nothing to search
 FARTHEST_MISFIT = 30.0  # as much as one pair of maps counts in the errors' scale
 PRIOR_SCALE, PRIOR_COUNT = 2.0, 3  # of the errors' scale, before maps have been seen
 BENT = 2.0  # how much wider errors are than shows where maps follow each other, in variance: both bend alike there
-FLOOR = np.diag([0.01**2, 0.01**2, 0.002**2])  # of a relation's covariance: maps bend
 
 
 class Loops:
@@ -72,7 +78,8 @@ class Loops:
         self._seek(number, set())
         self.wider.look(self.maps, number, self._lost(number), witness)
         agreed = self.wider.agreed(self.graph, self.scale)
-        if agreed and self._closed(agreed):
+        if agreed and self._all_hold(agreed, lambda: not contradicted(self._laid_again(agreed)), astray=True):
+            self.wider.glimpses.clear()
             for each in agreed:
                 self._seek(each.second, self._related(each.second))
 
@@ -116,11 +123,13 @@ class Loops:
         if not self.graph.relations:
             return
         far = self.graph.distances() > 2.0 * GATE
-        held = [each for each, off in zip(self.graph.relations, far, strict=True) if not (each.loop and off)]
+        held = [
+            each for each, gone in zip(self.graph.relations, far, strict=True) if not (each.loop and gone)
+        ]
         if len(held) == len(self.graph.relations):
             return
-        for each, off in zip(self.graph.relations, far, strict=True):
-            if each.loop and off:
+        for each, gone in zip(self.graph.relations, far, strict=True):
+            if each.loop and gone:
                 self.open[each.first, each.second] = "it was believed, and did not hold"
         self.graph.replace(held)
         self.graph.solve(30)
@@ -137,10 +146,11 @@ class Loops:
                     continue
                 guess, covariance = self.graph.between(first, second)
                 found = overlay(self.maps[first], self.maps[second], guess)
-                if found is None or found.matched < LEAST_MATCHED or found.agreement < LEAST_AGREEMENT:
+                verdict = judged([found] if found is not None else [], guess, covariance, self.scale)
+                if verdict is None:
                     continue
-                if (first, second) in known or _distance(found, guess, covariance, self.scale) < GATE:
-                    known[first, second] = self._loop(first, second, found)
+                if verdict.why is None or (verdict.is_doubted and (first, second) in known):
+                    known[first, second] = self._loop(Glimpse(first, second, verdict.found))
         self.graph.replace([*relations, *(known[pair] for pair in sorted(known))])
 
     def _lost(self, number: int) -> np.ndarray:
@@ -158,41 +168,41 @@ class Loops:
         """The earlier maps that a map is tied to, and the one before it."""
         return {each.first for each in self.graph.relations if each.second == number} | {number - 1}
 
-    def _closed(self, agreed: list[Glimpse]) -> bool:
-        """Believe places that were found by their looks, all or none: what was believed before must still hold."""
+    def _all_hold(
+        self, places: Sequence[Glimpse], borne_out: Callable[[], bool] = lambda: True, *, astray: bool = False
+    ) -> bool:
+        """Believe places against the drive, all or none: they, and what held before, must hold then, and be borne out.
+
+        borne_out: asked once the frames have moved. astray: whether these have so far to go that the places are
+        taken together, and none is weighed down at first.
+        """
         before, kept, held = self.graph.copy(), dict(self.open), self._held()
-        for each in agreed:
-            self.open.pop((each.first, each.second), None)
-            self.graph.add(self._loop(each.first, each.second, each.found))
-        self.graph.solve(30, robust=False)
-        self.graph.solve(30)
-        holds = held | {(each.first, each.second) for each in agreed} <= self._held()
-        if holds and not self._contradicted(agreed):
-            self.wider.glimpses.clear()
+        for each in places:
+            self._take(each)
+            if not astray:
+                self.graph.solve()
+        if astray:
+            self.graph.solve(30, robust=False)
+            self.graph.solve(30)
+        if held | {each.pair for each in places} <= self._held() and borne_out():
             return True
         self.graph, self.open = before, kept
         return False
 
-    def _contradicted(self, agreed: list[Glimpse]) -> bool:
-        """Whether the maps in a row that places were found for, laid on all that they touch, show something else."""
-        row = range(min(each.second for each in agreed), max(each.second for each in agreed) + 1)
-        matched = beside = 0.0
-        for second in row:
+    def _laid_again(self, agreed: list[Glimpse]) -> Iterator[Overlay]:
+        """The maps in a row that places were found for, laid on all earlier ones that they touch where they are now."""
+        for second in range(min(each.second for each in agreed), max(each.second for each in agreed) + 1):
             for first in self._near(second):
                 if first > second - RECENT:
                     continue
                 found = overlay(self.maps[first], self.maps[second], self.graph.between(first, second)[0])
-                if found is None or found.matched < found.agreement * LEAST_MATCHED:
-                    continue
-                if found.agreement < LEAST_AGREEMENT:
-                    return True
-                matched, beside = matched + found.matched, beside + found.matched / found.agreement
-        return matched < TRIED_AGREEMENT * beside
+                if found is not None:
+                    yield found
 
     def _seek(self, number: int, looked: set[int]) -> None:
         """Look for the map among all earlier ones but those that were looked at, the surest places first; then ask
         those that were not believed."""
-        doubted: list[tuple[int, Overlay]] = []
+        doubted: list[Glimpse] = []
         while True:
             waiting = [each for each in self._near(number) if each not in looked]
             at = [self._looseness(each, number) for each in waiting]
@@ -200,61 +210,56 @@ class Loops:
                 break
             first = waiting[int(np.argmin(at))]
             looked.add(first)
-            found, problem = self._lay(first, number)
-            if found is not None and number == first + 1:
-                self._misfits.append(min(_misfit(found, self.maps[first]), FARTHEST_MISFIT))
+            verdict = self._lay(first, number)
+            if verdict is None:
+                continue
+            if number == first + 1:
+                self._misfits.append(min(_misfit(verdict.found, self.maps[first]), FARTHEST_MISFIT))
                 self.graph.rescale(self.scale)
-            if problem is None and found is not None:
-                self._believe(first, number, found)
-            elif problem is not None:
-                self.open[first, number] = problem
-                if found is not None and problem.startswith(CONTRADICTS):
-                    doubted.append((first, found))
-        self._vote(number, doubted)
-        if any(self.open.get((first, number), "").startswith(CONTRADICTS) for first, _ in doubted):
+            doubted += self._settled(first, number, verdict)
+        self._vote(doubted)
+        if any(contradicts_drive(self.open.get(each.pair, "")) for each in doubted):
             self._reconsider()
 
-    def _believe(self, first: int, second: int, found: Overlay) -> None:
-        """Take a loop as true, and move the frames."""
-        self.open.pop((first, second), None)
-        self.graph.add(self._loop(first, second, found))
-        self.graph.solve()
+    def _settled(self, first: int, second: int, verdict: Verdict) -> list[Glimpse]:
+        """Believe a place, or leave it open. Returns it if only the drive stands against it, else nothing."""
+        place = Glimpse(first, second, verdict.found)
+        if verdict.why is None:
+            self._take(place)
+            self.graph.solve()
+        else:
+            self.open[place.pair] = verdict.why
+        return [place] if verdict.is_doubted else []
 
-    def _loop(self, first: int, second: int, found: Overlay) -> Relation:
+    def _take(self, place: Glimpse) -> None:
+        """Tell the graph of a place."""
+        self.open.pop(place.pair, None)
+        self.graph.add(self._loop(place))
+
+    def _loop(self, place: Glimpse) -> Relation:
         """What the graph is told of one map laid on another: of the next one, what its end does not say already."""
-        covariance = found.covariance + FLOOR
+        first, second, covariance = place.first, place.second, place.covariance + FLOOR
         if second == first + 1:
             end = self.maps[first].end_covariance + FLOOR
-            information = beside_the_end(end, covariance, found.with_end)
+            information = beside_the_end(end, covariance, place.found.with_end)
         else:
             information = np.linalg.inv(covariance)
-        return Relation(first, second, found.pose, information, loop=True)
+        return Relation(first, second, place.pose, information, loop=True)
 
-    def _vote(self, number: int, doubted: list[tuple[int, Overlay]]) -> None:
-        """Believe places that contradict the drive but not each other: then it is the drive that is wrong.
+    def _vote(self, doubted: list[Glimpse]) -> None:
+        """Believe places of one map that contradict the drive but not each other: then it is the drive that is wrong.
 
-        Several maps must say the same, over enough contour, and what was believed before must still hold.
+        Several earlier maps must say the same, over enough contour, and what was believed before must still hold.
         """
-        doubted = [
-            (first, found)
-            for first, found in doubted
-            if found.agreement >= TRIED_AGREEMENT and self._off((first, number), found) < FARTHEST
-        ]
+        doubted = [each for each in doubted if may_be_tried(each.found, self._off(each))]
         if len(doubted) < VOTES:
             return
-        places = np.array([compose(self.graph.frames[first], found.pose) for first, found in doubted])
+        places = np.array([compose(self.graph.frames[each.first], each.pose) for each in doubted])
         apart = places[:, None] - places[None]
         same = (np.hypot(apart[..., 0], apart[..., 1]) < 0.3) & (np.abs(wrap(apart[..., 2])) < 0.06)
-        group = np.flatnonzero(same[int(np.argmax(same.sum(axis=1)))])
-        matched = sum(doubted[i][1].matched for i in group)
-        if len(group) < VOTES or matched < VOTED_MATCHED:
-            return
-        before, kept = self.graph.copy(), dict(self.open)
-        held = self._held()
-        for i in group:
-            self._believe(doubted[i][0], number, doubted[i][1])
-        if not held | {(doubted[i][0], number) for i in group} <= self._held():
-            self.graph, self.open = before, kept
+        group = [doubted[i] for i in np.flatnonzero(same[int(np.argmax(same.sum(axis=1)))])]
+        if enough([each.matched for each in group], VOTES, VOTED_MATCHED):
+            self._all_hold(group)
 
     def _reconsider(self, everything: bool = False) -> None:
         """Ask once more for what was left open, everything or what contradicts the drive.
@@ -263,39 +268,29 @@ class Loops:
         that were doubted hold with it, and none that was believed gives way. Else all is as it was before.
         """
         while True:
-            doubted: dict[tuple[int, int], Overlay] = {}
+            doubted: list[Glimpse] = []
             for pair in sorted(self.open):
-                if pair[0] == pair[1]:
+                if pair[0] == pair[1] or not (everything or contradicts_drive(self.open[pair])):
                     continue
-                if not (everything or self.open[pair].startswith(CONTRADICTS)):
-                    continue
-                found, problem = self._lay(*pair)
-                if found is not None and problem is None:
-                    self._believe(*pair, found)
-                elif problem is not None:
-                    self.open[pair] = problem
-                    if found is not None and problem.startswith(CONTRADICTS):
-                        doubted[pair] = found
-            nearest = sorted(doubted, key=lambda pair: self._off(pair, doubted[pair]))
-            if not any(self._tried(pair, doubted) for pair in nearest[:MOST_TRIED]):
+                verdict = self._lay(*pair)
+                if verdict is not None:
+                    doubted += self._settled(*pair, verdict)
+            nearest = sorted(doubted, key=self._off)
+            if not any(self._tried(each, doubted) for each in nearest[:MOST_TRIED]):
                 return
 
-    def _off(self, pair: tuple[int, int], found: Overlay) -> float:
+    def _off(self, place: Glimpse) -> float:
         """Squared distance of a place that was found from where the frames have it now."""
-        return _distance(found, *self.graph.between(*pair), self.scale)
+        return squared_off(place.found, *self.graph.between(*place.pair), self.scale)
 
-    def _tried(self, pair: tuple[int, int], doubted: dict[tuple[int, int], Overlay]) -> bool:
+    def _tried(self, place: Glimpse, doubted: list[Glimpse]) -> bool:
         """Believe a doubted place if others bear it out; see `_reconsider`."""
-        if self._off(pair, doubted[pair]) > FARTHEST or doubted[pair].agreement < TRIED_AGREEMENT:
-            return False
-        graph, kept, held = self.graph.copy(), dict(self.open), self._held()
-        self._believe(*pair, doubted[pair])
-        others = [other for other in doubted if other != pair and self._off(other, doubted[other]) < GATE]
-        matched = sum(doubted[other].matched for other in others)
-        if held | {pair} <= self._held() and len(others) >= VOTES - 1 and matched >= VOTED_MATCHED:
-            return True
-        self.graph, self.open = graph, kept
-        return False
+
+        def borne_out() -> bool:
+            others = [each.matched for each in doubted if each is not place and self._off(each) < GATE]
+            return enough(others, VOTES - 1, VOTED_MATCHED)
+
+        return may_be_tried(place.found, self._off(place)) and self._all_hold([place], borne_out)
 
     def _held(self) -> set[tuple[int, int]]:
         """The loops that agree with where the frames are."""
@@ -332,8 +327,8 @@ class Loops:
             return np.inf
         return spread
 
-    def _lay(self, first: int, second: int) -> tuple[Overlay | None, str | None]:
-        """The best place of one map on another, and why it is not believed, if it is not."""
+    def _lay(self, first: int, second: int) -> Verdict | None:
+        """The best place of one map on another, and whether it is believed; None if there is none."""
         self.searched += 1
         guess, covariance = self.graph.between(first, second)
         a, b = self.maps[first], self.maps[second]
@@ -344,28 +339,7 @@ class Loops:
             places += search(a, b, guess, half, turn)
         overlays = [each for place in places if (each := overlay(a, b, place)) is not None]
         overlays.sort(key=lambda each: -each.matched * each.agreement)
-        if not overlays or overlays[0].matched < LEAST_MATCHED:
-            return None, None
-        best = overlays[0]
-        return best, self._problem(overlays, guess, covariance, second == first + 1)
-
-    def _problem(
-        self, overlays: list[Overlay], guess: np.ndarray, covariance: np.ndarray, following: bool
-    ) -> str | None:
-        """Why the best of the places is not believed; None if it is."""
-        best = overlays[0]
-        if best.agreement < LEAST_AGREEMENT:
-            return f"only {best.agreement:.0%} of what lies side by side agrees"
-        for other in overlays[1:]:
-            apart = other.pose - best.pose
-            elsewhere = np.hypot(apart[0], apart[1]) > 0.3 or abs(wrap(apart[2])) > 0.1
-            if elsewhere and other.matched * other.agreement > AMBIGUOUS * best.matched * best.agreement:
-                return "another place is nearly as good"
-        shift = best.pose - guess
-        if following and np.hypot(shift[0], shift[1]) < SURE and abs(wrap(shift[2])) < SURE_TURN:
-            return None  # the odometry jumped, or the wheels slipped: both maps show the same place
-        squared = _distance(best, guess, covariance, self.scale)
-        return f"{CONTRADICTS}: squared distance {squared:.0f}" if squared > GATE else None
+        return judged(overlays, guess, covariance, self.scale, following=second == first + 1)
 
 
 def _is_lost(covariance: np.ndarray) -> bool:
@@ -377,11 +351,4 @@ def _is_lost(covariance: np.ndarray) -> bool:
 def _misfit(found: Overlay, last: ClosedMap) -> float:
     """Squared Mahalanobis distance of the next map's place by overlay from the last one's end, which err alike."""
     shared = found.with_end + found.with_end.T
-    return _distance(found, last.end, last.end_covariance - shared)
-
-
-def _distance(found: Overlay, guess: np.ndarray, covariance: np.ndarray, scale: float = 1.0) -> float:
-    """Squared Mahalanobis distance of a place that was found from where it was thought to be."""
-    shift = found.pose - guess
-    shift[2] = wrap(shift[2])
-    return float(shift @ np.linalg.solve(covariance + scale * (found.covariance + FLOOR), shift))
+    return squared_off(found, last.end, last.end_covariance - shared)

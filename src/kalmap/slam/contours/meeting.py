@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import inverse, rotate
 from kalmap.kernels import correlate
+from kalmap.slam.contours.belief import is_elsewhere
 from kalmap.slam.contours.closed import CELL, ClosedMap, Shape
 from kalmap.slam.contours.join import joined
 from kalmap.slam.contours.matching import Overlay, overlay
@@ -137,7 +138,7 @@ def find_places(first: ClosedMap, second: ClosedMap, agreement: float, apart: fl
         )
     kept: list[Place] = []
     for place in found:
-        other = all(_elsewhere(each.overlay.pose, place.overlay.pose, apart) for each in kept)
+        other = all(is_elsewhere(each.overlay.pose, place.overlay.pose, apart, APART_TURN) for each in kept)
         if other and place.worth > UNIQUE * found[0].worth:
             kept.append(place)
     if len(kept) > MOST_PLACES:
@@ -208,8 +209,3 @@ def _through(a: Shape, b: Shape, T_a_b: np.ndarray) -> float:
     reach = np.hypot(off, np.maximum(0.0, np.maximum(-t, t - 1.0)) * length[which])
     close = (known & (reach < CLEAR + 0.15)).any(axis=1)
     return float(0.1 * (before.any(axis=1) & ~close).sum())
-
-
-def _elsewhere(one: np.ndarray, other: np.ndarray, limit: float) -> bool:
-    apart = np.hypot(*(one[:2] - other[:2]))
-    return bool(apart > limit or abs(float(wrap(one[2] - other[2]))) > APART_TURN)

@@ -16,6 +16,7 @@ import numpy as np
 
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse
+from kalmap.slam.contours.belief import GATE, enough, is_elsewhere, squared_distance
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.graph import FrameGraph
 from kalmap.slam.contours.matching import Overlay, overlay, search
@@ -39,7 +40,6 @@ ASTRAY, ASTRAY_TURN = (
     0.15,
 )  # m and rad that two places which are one may differ by, whatever the drive says
 SLACK = np.diag([0.1**2, 0.1**2, 0.02**2])  # by which a drive of some maps is worse than it says
-GATE = 16.3  # squared distance of three numbers that chance exceeds once in a thousand
 
 POINTS, REACH = 200, 8.0  # of a map that are compared pair by pair, and m, how far pairs reach
 NEAREST, STEP, ANGLES = 0.2, 0.25, 16  # m, closest pair; m and angles that are told apart
@@ -51,6 +51,11 @@ class Glimpse(msgspec.Struct, frozen=True, eq=False):
     first: int
     second: int
     found: Overlay
+
+    @property
+    def pair(self) -> tuple[int, int]:
+        """Both maps."""
+        return self.first, self.second
 
     @property
     def pose(self) -> np.ndarray:
@@ -150,8 +155,8 @@ class Wider:
         if (weights[apart] > RIVAL * weights[best]).any():
             return []
         allowed = all(_allowed(each, graph, scale) for each in chosen)
-        least, matched = (MAPS, MATCHED) if allowed else (MAPS_AGAINST, MATCHED_AGAINST)
-        return chosen if len(chosen) >= least and weights[best] >= matched else []
+        needed = (MAPS, MATCHED) if allowed else (MAPS_AGAINST, MATCHED_AGAINST)
+        return chosen if enough([each.matched for each in chosen], *needed) else []
 
     def _group(self, members: np.ndarray) -> list[int]:
         """Of each map the place that lies on most."""
@@ -172,8 +177,7 @@ def places(first: ClosedMap, second: ClosedMap) -> list[Overlay]:
         each = overlay(first, second, place, (LEAST_MATCHED, LEAST_AGREEMENT))
         if each is None or np.linalg.eigvalsh(each.covariance[:2, :2])[1] > HELD**2:
             continue
-        shifts = [each.pose - other.pose for other in found]
-        if all(np.hypot(shift[0], shift[1]) > 0.3 or abs(wrap(shift[2])) > 0.1 for shift in shifts):
+        if all(is_elsewhere(each.pose, other.pose) for other in found):
             found.append(each)
     found.sort(key=lambda each: -each.matched * each.agreement)
     good = [
@@ -229,6 +233,4 @@ def _turn(angle: float) -> np.ndarray:
 def _allowed(each: Glimpse, graph: FrameGraph, scale: float) -> bool:
     """Whether the drive allows the place."""
     guess, covariance = graph.between(each.first, each.second)
-    shift = each.pose - guess
-    shift[2] = wrap(shift[2])
-    return float(shift @ np.linalg.solve(covariance + scale * each.covariance, shift)) < GATE
+    return squared_distance(each.pose, guess, covariance + scale * each.covariance) < GATE
