@@ -135,8 +135,8 @@ def test_far_walls_seen_by_few_beams_are_single_lines():
         assert angle_between(pieces.curve(0), np.array([c, s])) < 0.005
 
 
-def test_an_s_of_a_wall_is_followed():
-    """In few pieces, none of them off the true wall by more than 3 cm. Oracle: the wall's own formula."""
+def test_an_s_of_a_wall_is_one_cubic():
+    """Within 3 cm of the true wall. Oracle: the wall's own formula."""
     bearings = np.deg2rad(np.arange(-16.0, 16.1, 0.5))
     ranges = np.full(len(bearings), 3.0)
     for _ in range(400):
@@ -144,27 +144,52 @@ def test_an_s_of_a_wall_is_followed():
             bearings
         )
     truth = ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
-    counts = []
+    whole = 0
     for seed in SEEDS:
         noise = SIGMA * np.random.default_rng(seed).standard_normal(len(ranges))
         pieces = cut_scan(Scan(0.0, ranges + noise, bearings), LASER)
-        assert (pieces.piece >= 0).all()
-        counts.append(len(pieces))
+        whole += len(pieces) == 1 and pieces.order[0] == 3
+        assert (pieces.piece >= 0).all() and len(pieces) <= 2
         for k in range(len(pieces)):
             points = truth[pieces.beam[pieces.piece == k]]
             assert np.abs(pieces.curve(k).distance(points)).max() < 0.03
-    assert np.mean(counts) <= 2.5 and max(counts) <= 4
+    assert whole >= 18
 
 
-def test_a_round_room_is_followed():
-    """The ring is opened somewhere; every piece stays within 3 cm of the circle, and bends as it does."""
+def test_a_round_room_is_conics_that_follow_it():
+    """The ring is opened somewhere; every piece stays within 3 cm of the circle and goes round by half a turn, and by
+    what a run at either end may add, at most. Measured, 80 seeds: 2 or 3 pieces."""
+    centre = np.array([0.5, 0.2])
     for seed in SEEDS:
-        scan = scan_of(circles=[[0.5, 0.2, 3.0]], bearings=FULL, rng=np.random.default_rng(seed))
+        scan = scan_of(circles=[[*centre, 3.0]], bearings=FULL, rng=np.random.default_rng(seed))
         pieces = cut_scan(scan, LASER)
-        assert len(pieces) <= 9
+        assert len(pieces) <= 4 and (pieces.order[pieces.lengths > 2.0] > 1).all()
         for k in range(len(pieces)):
-            feet = pieces.curve(k).project(pieces.points[pieces.piece == k])
-            assert np.abs(np.hypot(*(feet - [0.5, 0.2]).T) - 3.0).max() < 0.03
+            feet = pieces.curve(k).project(pieces.points[pieces.piece == k]) - centre
+            assert np.abs(np.hypot(*feet.T) - 3.0).max() < 0.03
+            assert np.ptp(np.unwrap(np.arctan2(feet[:, 1], feet[:, 0]))) < math.radians(215.0)
+
+
+def test_noise_smaller_than_the_sensor_says_lets_no_misfit_pass():
+    """Monte Carlo in a superellipse, which is no cubic: its walls scatter by 1 cm, the sensor claims 1.5 cm. Squared
+    errors in what the curves say of them, 1 if they told all; every number counted for the claim, they were 7."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 721)
+    c, s = np.cos(angle), np.sin(angle)
+    outline = np.column_stack([4.0 * np.sign(c) * np.abs(c) ** 0.7, 2.5 * np.sign(s) * np.abs(s) ** 0.7])
+    walls = np.column_stack([outline[:-1], outline[1:]])
+    claimed = SensorConfig(sigma_range=0.015, max_range=80.0)
+    squares = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        pose = rng.uniform([-2.0, -1.0, -3.0], [2.0, 1.0, 3.0])
+        exact = scan_of(walls=walls, bearings=FULL, pose=pose).ranges
+        pieces = cut_scan(Scan(0.0, exact + SIGMA * rng.standard_normal(len(exact)), FULL), claimed)
+        truth = exact[:, None] * np.column_stack([np.cos(FULL), np.sin(FULL)])
+        for k in range(len(pieces)):
+            points = truth[pieces.beam[pieces.piece == k]]
+            away, cov = pieces.curve(k).distance(points), pieces.curve(k).distance_covariance(points)
+            squares += list(away**2 / np.diag(cov))
+    assert np.mean(squares) < 4.0
 
 
 def test_a_step_of_a_wall_is_a_cut():

@@ -15,7 +15,7 @@ _RUN, _CONIC, _CUBIC = (
     10,
 )  # numbers in a bent line, a conic and a cubic, and one more for where each begins
 _LEAST_CONIC, _LEAST_CUBIC = 7, 11  # points
-_MOST_RUNS = 10  # in one curve
+_FAILURES = 3  # of one curve to hold more runs, until it is left as it is
 _JOINT = math.radians(60.0)  # most that a contour turns from one run to the next
 _BENT = 2.0  # chi-square per degree of freedom up to which a straight run is left straight
 _MARGIN = 0.05  # m beyond its ends in which a curve must still be sound
@@ -105,6 +105,42 @@ def bend_runs(cuts, points, rays, along, across, rough, sigma_bend, coef, cov, o
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def smooth_chain(cuts, run, sums, linked, points, noise):
+    """How many runs, from number `run` on, follow one another without a gap, a step or a sharp turn, and go round by
+    no more than half a turn: a piece is shifted and turned as a whole by what a scan's errors do to it
+    (`contour_noise`), and one that closes round the scanner would hold the pose as if there were none."""
+    length, turn = 1, 0.0
+    _x, _y, before_x, before_y = run_line(sums, cuts[run], cuts[run + 1], points)
+    while run + length < len(cuts) - 1:
+        j = run + length
+        if not (linked[cuts[j] - 1] and may_join(sums, cuts[j - 1], cuts[j], cuts[j + 1], points, noise)):
+            break
+        _x, _y, tx, ty = run_line(sums, cuts[j], cuts[j + 1], points)
+        turn += math.atan2(before_x * ty - before_y * tx, before_x * tx + before_y * ty)
+        if abs(turn) > math.pi:
+            break
+        before_x, before_y = tx, ty
+        length += 1
+    return length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cost_apart(cuts, run, count, squares, cost):
+    """What `count` runs from number `run` on cost with a bent line each, and what every number counts for.
+
+    squares (R,): the lines' weighted squares. A number saves as much of them as one point's noise makes, which is less
+    than `cost` where the noise is less than is said of the sensor: the points themselves tell. Never more than `cost`,
+    or lines that misfit would make room for a curve that does.
+    """
+    apart, freedom = 0.0, 0
+    for j in range(run, run + count):
+        apart += squares[j] if cuts[j + 1] - cuts[j] > 1 else 0.0
+        freedom += max(0, cuts[j + 1] - cuts[j] - _RUN)
+    number = cost * min(1.0, apart / freedom) if freedom > 0 else cost
+    return apart + _RUN * count * number, number
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shape_run(
     cuts, run, sums, linked, points, rays, along, across, rough, cost, highest, squares, coef, cov, origin
 ):
@@ -112,20 +148,21 @@ def shape_run(
     scale m and excess variance m^2. Order 1: there is none, and nothing is filled.
 
     Runs are added as long as one curve explains them all as well as a bent line each, whose weighted squares are
-    `squares` (R,), every number of both weighed with `cost`: a misfit within the noise of one scan is the same in all.
+    `squares` (R,), every number of both weighed (`cost_apart`): a misfit within the noise of one scan is the same in
+    all. As many are added at once as the curve holds, and once that has failed, one by one; three failures end it:
+    with two or three runs chance alone often decides, with many it does not.
     """
-    a, most = cuts[run], len(cuts) - 1
     after, order, scale, excess = run + 1, 1, 1.0, 0.0
+    if highest == 1:
+        return after, order, scale, excess
     tried_coef, tried_cov, tried_origin = np.empty(10), np.empty((10, 10)), np.empty(2)
-    apart, failed = 0.0, 0
-    for j in range(run, min(run + _MOST_RUNS, most) if highest > 1 else run):
-        begin, end = cuts[j], cuts[j + 1]
-        if j > run and not (linked[begin - 1] and may_join(sums, cuts[j - 1], begin, end, points, along)):
-            break
-        apart += (squares[j] if end - begin > 1 else 0.0) + _RUN * cost
-        freedom = max(1, end - a - 2)
-        if j == run and line_cost(sums, a, end) < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom):
-            continue
+    a, end = cuts[run], cuts[run + 1]
+    chain, freedom = smooth_chain(cuts, run, sums, linked, points, along), max(1, end - a - 2)
+    straight = line_cost(sums, a, end) < _BENT * freedom + 3.0 * math.sqrt(2.0 * freedom)
+    count, doubling, failed = 2 if straight else 1, True, 0
+    while count <= chain and failed < _FAILURES:
+        end = cuts[run + count]
+        apart, number = cost_apart(cuts, run, count, squares, cost)
         degree, size, surplus = try_curve(
             points[a:end],
             rays[a:end],
@@ -133,17 +170,19 @@ def shape_run(
             across[a:end],
             rough,
             apart,
-            cost,
+            number,
             highest,
             tried_coef,
             tried_cov,
             tried_origin,
         )
         if degree > 1:
-            after, order, scale, excess = j + 1, degree, size, surplus
+            after, order, scale, excess = run + count, degree, size, surplus
             copy_fit(tried_coef, tried_cov, tried_origin, coef, cov, origin)
-        elif end - a >= _LEAST_CONIC:
-            failed += 1
-            if failed > 1:
-                break
+            count = min(2 * count, max(chain, count + 1)) if doubling else count + 1
+        elif doubling and order > 1 and count > after - run + 1:
+            doubling, count = False, after - run + 1
+        else:
+            failed += end - a >= _LEAST_CONIC
+            count += 1
     return after, order, scale, excess

@@ -42,7 +42,8 @@ class CutConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     max_order: of the polynomials; 1: straight lines, else every line bends as its points say.
     sigma_bend: 1/m, of the curvature of a wall on which no bend shows, and 1/m^2 of its change along the wall. Large,
         it leaves straight walls' normals to the noise, which looks like progress along them; small, a bend is missed.
-    parameter_cost: chi-square that every number of a curve counts for where one curve may stand for several lines.
+    parameter_cost: chi-square that every number of a curve counts for where one curve may stand for several lines;
+        less in proportion where the points' noise is less than the sensor's sigmas say.
     """
 
     sigma_beam_deg: float = 0.1
