@@ -11,11 +11,12 @@ import numpy as np
 from kalmap.gaussian import Jacobian
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse
-from kalmap.kernels import contour as kernel
+from kalmap.kernels import contour_state as state
 from kalmap.models.motion import motion_from_config
 from kalmap.records import Log, Odometry, Scan
 from kalmap.slam.contours.closed import ClosedMap
-from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
+from kalmap.slam.contours.live import LiveMap
+from kalmap.slam.contours.seen import Rules, prepare, rules_of
 
 SICK = {"scanner": "sick", "max_range": 80.0, "sigma_beam_ratio": 0.0, "quantum": 0.01, "speed": 0.5}
 """Overrides that put a SICK on a floor."""
@@ -52,7 +53,7 @@ def used_scans(
 def closed_of(live: LiveMap) -> ClosedMap:
     """A live map as it would be closed: without the scanner's calibration."""
     live.belief.flush()
-    keep = np.r_[0:3, kernel.SAMPLES : live.belief.n]
+    keep = np.r_[0:3, state.SAMPLES : live.belief.n]
     covariance = live.belief.covariance()[np.ix_(keep, keep)]
     return ClosedMap(
         live.belief.mean[keep],

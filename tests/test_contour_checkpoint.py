@@ -140,6 +140,15 @@ def test_saving_again_and_again_changes_nothing(log, events, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
+def test_a_run_that_estimates_a_latency_resumes_as_well(log, events, ends, tmp_path):
+    """Oracle: the run that never stopped; what is saved is the odometry of the last two seconds."""
+    at, settings = ends[0] + 31, {"sigma_latency": 0.1, "sigma_stamp": 0.02}
+    slam = fed(mapper(log, **settings), events[:at])
+    slam.save(tmp_path / "run")
+    resumed = fed(ContourSlam.load(tmp_path / "run"), events[at : at + 60])
+    assert shown(resumed) == shown(fed(slam, events[at : at + 60])) and said(resumed) == said(slam)
+
+
 def test_everything_that_is_known_is_saved():
     """Whoever gives these classes a field must save it: the fields as they were when the format was made."""
     log = block_log()
@@ -167,6 +176,7 @@ def test_everything_that_is_known_is_saved():
             "_way",
             "_turn",
             "_twist",
+            "_late",
             "_changes",
         ),
         *(
@@ -275,6 +285,7 @@ def numbers_of(header: dict) -> list[int]:
     for each in loops["maps"]:
         found += [each[name] for name in ("mean", "packed", "normals", "sightings")]
     found += [loops["relations"][0][name] for name in ("pose", "information")]
+    found += [header["late"][name] for name in ("begins", "ends", "ways", "covariances")]
     found += [header["twist"], *(each[name] for each in header["legs"] for name in ("driven", "twists"))]
     for each in (*header["legs"], header["ends"]):
         found += [each["poses"], each["covariances"]]
@@ -320,7 +331,7 @@ def test_headers_that_contradict_themselves_are_refused(saved, tmp_path, change)
     with pytest.raises(LogError) as caught:
         ContourSlam.load(path)
     assert caught.value.file == path
-    assert FORMAT == "kalmap-contours/2"
+    assert FORMAT == "kalmap-contours/3"
 
 
 def test_relations_between_maps_that_are_not_there_are_refused(saved, tmp_path):

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from contour_scans import FINE, FULL, room, scan_of
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
+from kalmap.kernels import contour_state as state
 from kalmap.kernels.implicit import signed_distance
 from kalmap.perception.contours import cut_scan
 from kalmap.records import SensorConfig
 
-CAL, FIRST = kernel.CALIBRATION, kernel.SAMPLES
+CAL, FIRST = state.CALIBRATION, state.SAMPLES
 COLUMNS = 7  # of a distance: pose, bearing scale and range offset, sample
 MOUNT = np.array([0.2, -0.1, 0.3])
 REACH = 12.0

@@ -8,7 +8,7 @@ from contour_rooms import block_log, events_of, mapper
 from kalmap.kernels.contour_noise import fill_noise
 from kalmap.kernels.implicit import distance_rows
 from kalmap.records import Scan
-from kalmap.slam.contours.live import prepare
+from kalmap.slam.contours.seen import prepare
 
 
 def test_points_on_one_piece_err_together():

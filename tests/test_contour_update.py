@@ -10,6 +10,7 @@ import pytest
 from kalmap.gaussian import Belief, CentralDifference, Cubature, Jacobian, Unscented
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
+from kalmap.kernels import contour_state
 from kalmap.kernels.implicit import signed_distance
 from kalmap.kernels.layout import (
     BIAS_COUNT,
@@ -22,7 +23,7 @@ from kalmap.kernels.layout import (
     SETUP_LENGTH,
 )
 
-CAL, FIRST = kernel.CALIBRATION, kernel.SAMPLES
+CAL, FIRST = contour_state.CALIBRATION, contour_state.SAMPLES
 COLUMNS = 7  # of a distance: pose, bearing scale and range offset, sample
 MOUNT = np.array([0.2, -0.1, 0.3])
 RULES = [Jacobian(), Unscented(), Unscented(alpha=0.5, beta=2.0), CentralDifference(), Cubature()]
@@ -155,7 +156,7 @@ def test_calibration_effect(mount):
     points, angle = rng.normal(0, 3, (40, 2)), rng.uniform(-np.pi, np.pi, 40)
     normals = np.column_stack([np.cos(angle), np.sin(angle)])
     effect = np.empty((40, 2))
-    kernel.calibration_effect(points, normals, mount, effect)
+    contour_state.calibration_effect(points, normals, mount, effect)
     expected = [effect_by_differences(p, n, mount) for p, n in zip(points, normals, strict=True)]
     assert np.allclose(effect, expected, rtol=0, atol=1e-8)
 
@@ -208,7 +209,7 @@ def test_apply_distances(invariant, n_samples, count):
     belief = Belief(mean, covariance)
     left, right = belief.work(2 * count)
     lower = np.tril(noise) + np.triu(np.full(noise.shape, np.nan), 1)  # the lower triangle alone is read
-    status, nis = kernel.apply_distances(
+    status, nis = contour_state.apply_distances(
         setup_of(None, invariant), belief.mean, belief.packed, n, indices, matrices, innovation.copy(), lower,
         left, right,
     )  # fmt: skip
@@ -231,7 +232,7 @@ def test_after_an_error_the_state_is_as_it_was(broken, count):
         innovation[0] = np.nan
     packed = belief.packed.copy()
     left, right = belief.work(2 * count)
-    status, _ = kernel.apply_distances(
+    status, _ = contour_state.apply_distances(
         setup_of(), belief.mean, belief.packed, len(mean), FIRST + 2 * np.arange(count),
         rng.normal(0, 1, (count, COLUMNS)), innovation, noise, left, right,
     )  # fmt: skip
@@ -252,7 +253,7 @@ def test_append_samples(n_samples, count):
     noise = root @ root.T
     belief = Belief(mean, covariance)
     belief.reserve(n + 2 * count)
-    belief.n = kernel.append_samples(belief.mean, belief.packed, n, points, normal, effect, noise)
+    belief.n = contour_state.append_samples(belief.mean, belief.packed, n, points, normal, effect, noise)
     assert belief.n == n + 2 * count
     map_normal, arms = rotate(mean[2], normal), rotate(mean[2], points)
     rows = np.zeros((2 * count, n))

@@ -2,7 +2,7 @@
 
 One line a scan, 707 numbers: time us, a status, ticks of the left and of the right wheel, 20 further status
 values, 683 ranges mm. The robot's constants are those published with both programs (Steux & El Hamzaoui 2010). Ranges
-below 20 are error codes.
+below 20 are error codes. Stamps are of when a line was put together, the scans are evenly spaced.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from kalmap.data.covered import without_cover
-from kalmap.data.drive import Drive, DriveEvents, cleaned
+from kalmap.data.drive import Drive, DriveEvents, cleaned, interpolated
 from kalmap.data.laser_classes import laser_defaults
 from kalmap.data.text import read_table, read_text
 from kalmap.geometry.se2 import compose, exponential
@@ -33,6 +34,10 @@ FORWARD = 340
 SPACING_DEG = 360.0 / 1024.0
 FIRST_DISTANCE = 0.020
 """m: what is less is an error code."""
+SIGMA_STAMP = 0.01
+"""s, what is left when the stamps have been evened."""
+NEAR_TURNS = 50
+"""Of the scanner, whose stamps say together when each was."""
 _HEAD = 1 << 14
 
 
@@ -55,7 +60,7 @@ def open_coreslam(path: Path) -> Log:
     return Log(
         name=path.stem,
         source=str(path),
-        defaults=laser_defaults(drive),
+        defaults=laser_defaults(drive, sigma_stamp=SIGMA_STAMP),
         open=DriveEvents(drive),
         files=(str(path),),
     )
@@ -70,13 +75,18 @@ def read_coreslam(path: Path) -> Drive:
         raise LogError("holds no scans", file=path)
     good = np.ones(len(table.values), dtype=bool)
     good[list(table.malformed)] = False
+    read = table.values[good, 0] / 1e6
+    stamps = table.values[:, 0] / 1e6
+    stamps[good] = evened(read)
     poses = np.full((len(good), 3), np.nan)
-    poses[good] = _reckoned(table.values[good, 2:4])
+    poses[good] = interpolated(np.maximum.accumulate(read), _reckoned(table.values[good, 2:4]), stamps[good])[
+        0
+    ]
     ranges = cleaned(table.values[:, FIRST_RANGE:] / 1000.0, FIRST_DISTANCE, np.inf)
     bearings = np.deg2rad((np.arange(BEAMS) - FORWARD) * SPACING_DEG)
     return Drive(
         file=str(path),
-        stamps=table.values[:, 0] / 1e6,
+        stamps=stamps,
         records=table.records,
         poses=poses,
         ranges=list(ranges),
@@ -84,6 +94,19 @@ def read_coreslam(path: Path) -> Drive:
         malformed=table.malformed,
         mount=MOUNT,
     )
+
+
+def evened(stamps: np.ndarray) -> np.ndarray:
+    """(n,) s, when the scans were taken, up to what all are late by; stamps: (n,) s, when they and the ticks were read.
+
+    The scanner turns at a constant rate and knows nothing of the computer that asks it, 30 ms early or late.
+    Every line is a turn; over some seconds the median says which.
+    """
+    if len(stamps) < 2 * NEAR_TURNS:
+        return stamps
+    turns = np.arange(len(stamps))
+    period = float(np.median(stamps[NEAR_TURNS:] - stamps[:-NEAR_TURNS])) / NEAR_TURNS
+    return period * turns + median_filter(stamps - period * turns, size=NEAR_TURNS + 1, mode="nearest")
 
 
 def _reckoned(ticks: np.ndarray) -> np.ndarray:

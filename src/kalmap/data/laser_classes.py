@@ -6,10 +6,12 @@ range, is at most 6 m, and its beams cover more than 190 degrees or lie closer t
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 
-from kalmap.data.drive import Drive
+from kalmap.data.drive import Drive, steps_of
 from kalmap.data.odometry_gaps import INDOOR
 from kalmap.records import ContourConfig, FilterConfig, RunConfig, SensorConfig
 
@@ -47,6 +49,18 @@ URG = LaserClass(
 )
 """Phase shift, 240 degrees (URG-04LX: rated 4 m, accuracy 1 cm or 1 %; returns up to 5.6 m)."""
 
+SIGMA_LATENCY = 0.1
+"""s, between the clocks of a scanner and of wheels that are read by different drivers."""
+SIGMA_STAMP = 0.1 / math.sqrt(12.0)
+"""s: a driver takes a sweep at any time of the next."""
+LEAST_STEP = 0.02
+"""m, of a way whose speed says something."""
+LEAST_PAIRS = 30
+"""Of steps behind each other, from which it is judged whether stamps tell the speed."""
+MOST_BACKWARDS = 0.01
+"""Share of stamps that may lie at or before the one before."""
+SAME_CHANGE = 0.01
+"""By how much a speed may change more than a way, as a share, where the scans come at a constant rate."""
 URG_RANGE = 6.0
 URG_FIELD_DEG = 190.0
 URG_SPACING_DEG = 0.45
@@ -65,8 +79,12 @@ def laser_class(drive: Drive, stated: float = np.inf) -> LaserClass:
     return URG if near and fine else SICK
 
 
-def laser_defaults(drive: Drive, stated: float = np.inf) -> RunConfig:
-    """Settings for a drive: the scanner's class, its mounting and its view from the log, contours as the map."""
+def laser_defaults(drive: Drive, stated: float = np.inf, sigma_stamp: float = SIGMA_STAMP) -> RunConfig:
+    """Settings for a drive: the scanner's class, its mounting and its view from the log, contours as the map.
+
+    sigma_stamp: s, by how much stamps are off by chance, where they are of any use.
+    """
+    timed = stamps_tell(drive)
     kind = laser_class(drive, stated)
     widest = max((float(np.abs(bearings).max(initial=0.0)) for bearings in drive.bearings), default=0.0)
     x, y, heading = drive.mount.tolist()
@@ -85,8 +103,35 @@ def laser_defaults(drive: Drive, stated: float = np.inf) -> RunConfig:
             max_range=min(kind.max_range, stated, drive.reach),
             field_of_view_deg=min(360.0, max(1.0, 2.0 * float(np.rad2deg(widest)))),
         ),
-        contour=ContourConfig(method="dc-slasem"),
+        contour=ContourConfig(
+            method="dc-slasem",
+            sigma_latency=SIGMA_LATENCY if timed else 0.0,
+            sigma_stamp=sigma_stamp if timed else 0.0,
+        ),
     )
+
+
+def stamps_tell(drive: Drive) -> bool:
+    """Whether the stamps say how fast the robot went: with them its speed changes less than its way from scan to scan.
+
+    Where they do not, they are not of the odometry: a log then states a pose beside each scan, and the two are one.
+    """
+    rows = drive.rows()
+    steps, _ = steps_of(drive)
+    ways = np.hypot(*steps[rows, :2].T)[1:]
+    took = np.diff(drive.stamps[rows])
+    pairs = (ways[1:] > LEAST_STEP) & (ways[:-1] > LEAST_STEP) & (took[1:] > 0.0) & (took[:-1] > 0.0)
+    backwards = float((took <= 0.0).mean()) if len(took) else 1.0
+    if pairs.sum() < LEAST_PAIRS or backwards > MOST_BACKWARDS:
+        return False
+    speeds = np.divide(ways, took, out=np.zeros(len(ways)), where=took > 0.0)
+    return _change(speeds, pairs) <= _change(ways, pairs) + SAME_CHANGE
+
+
+def _change(values: np.ndarray, pairs: np.ndarray) -> float:
+    """By which share a value differs from the one before, in the median over pairs of them."""
+    before, after = values[:-1][pairs], values[1:][pairs]
+    return float(np.median(np.abs(after - before) / (after + before)))
 
 
 def _largest(drive: Drive, rows: np.ndarray) -> float:

@@ -258,6 +258,10 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         scan is taken on the move, and surfaces reflect unevenly.
     sigma_bearing_scale, sigma_range_offset: share and m, how far the scanner's angles and ranges may be off as a whole,
         which the map estimates; 0: they are right.
+    sigma_lever: m, on either axis, how far the point that the odometry speaks of may be from where the log has it.
+    sigma_latency: s, how much later or earlier than it was taken a scan may be stamped; estimated as well. Odometry of
+        increments only, with stamps that tell how fast the vehicle goes; readers of laser logs look whether they do.
+    sigma_stamp: s, by how much each stamp is off by chance, beside that.
     clear_range: m, how far the way of a beam that brought nothing back counts as free in the occupancy grid.
     background: closed maps are joined in a thread of low priority that the live filter does not wait for; the answer in
         the end is the same, only the pose on the way may come by a join later.
@@ -274,6 +278,8 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_bearing_scale: NonNegative = 0.01
     sigma_range_offset: NonNegative = 0.03
     sigma_lever: NonNegative = 0.1
+    sigma_latency: NonNegative = 0.0
+    sigma_stamp: NonNegative = 0.0
     clear_range: NonNegative = 5.0
     background: bool = True
 

@@ -15,7 +15,8 @@ from kalmap.models.motion import motion_from_config
 from kalmap.records import Log, Odometry, RunConfig, Scan
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.join import join_contours
-from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
+from kalmap.slam.contours.live import LiveMap
+from kalmap.slam.contours.seen import Rules, prepare, rules_of
 from kalmap.slam.contours.worker import closed
 from kalmap.slam.filters import resolve_filter
 from kalmap.slam.submaps.forest import Forest, chain

@@ -10,13 +10,14 @@ import numpy as np
 
 from kalmap.gaussian import Belief
 from kalmap.gaussian.linearisers import BuiltIn
-from kalmap.kernels.contour import SAMPLES
+from kalmap.kernels.contour_state import SAMPLES
 from kalmap.kernels.packed import pack, unpack
 from kalmap.models.motion import BuiltInMotion
 from kalmap.records import ContourConfig, SensorConfig
 from kalmap.slam.archive import check_arrays, opened, read_header, write_archive
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.graph import Relation
+from kalmap.slam.contours.late import Late
 from kalmap.slam.contours.leg import Leg, OpenLeg
 from kalmap.slam.contours.live import LiveMap
 from kalmap.slam.contours.loops import Loops
@@ -27,7 +28,7 @@ from kalmap.slam.contours.worker import Joined, Worker
 if TYPE_CHECKING:
     from kalmap.slam.contours.slam import ContourSlam
 
-FORMAT = "kalmap-contours/2"
+FORMAT = "kalmap-contours/3"
 
 
 class _Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -98,6 +99,7 @@ class _State(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     way: float
     turn: float
     twist: np.ndarray
+    late: Late
     changes: int
     frames: int
 
@@ -127,6 +129,7 @@ def save_contours(slam: ContourSlam, path: str | os.PathLike[str]) -> None:
         way=slam._way,
         turn=slam._turn,
         twist=slam._twist,
+        late=slam._late,
         changes=slam._changes,
         frames=slam._frames,
     )
@@ -157,6 +160,7 @@ def load_contours(kind: type[ContourSlam], path: str | os.PathLike[str]) -> Cont
         slam._ends = list(zip(state.ends.poses, state.ends.covariances, strict=True))
         slam._time, slam._moved = state.time, state.moved
         slam._way, slam._turn, slam._twist = state.way, state.turn, state.twist
+        slam._late = state.late
         slam._changes, slam._frames = state.changes, state.frames
         return slam
 
@@ -259,6 +263,9 @@ def _check(state: _State) -> None:
         check_arrays(
             (places.poses, (len(places.poses), 3), "f"), (places.covariances, (len(places.poses), 3, 3), "f")
         )
+    rows = len(state.late.ends)
+    check_arrays((state.late.begins, (rows,), "f"), (state.late.ends, (rows,), "f"))
+    check_arrays((state.late.ways, (rows, 3), "f"), (state.late.covariances, (rows, 3, 3), "f"))
     check_arrays((state.twist, (3,), "f"), *((each.driven, (2, 2), "f") for each in state.legs))
     check_arrays(*((each.twists, (len(each.poses), 3), "f") for each in state.legs))
     if (len(state.legs), len(state.ends.poses)) != (maps + 1, maps):

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 
-from kalmap.gaussian import Belief, Lineariser, NotPositiveError
+from kalmap.gaussian import Belief, NotPositiveError
 from kalmap.geometry.angles import wrap
-from kalmap.geometry.se2 import compose, inverse, rotate
+from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
+from kalmap.kernels import contour_state as state
 from kalmap.kernels.contour_noise import fill_noise
-from kalmap.kernels.implicit import distance_rows
 from kalmap.kernels.layout import BIAS_COUNT, OK
 from kalmap.kernels.packed import pack
-from kalmap.models import RangeBearing
-from kalmap.models.motion import BuiltInMotion
-from kalmap.perception.contours import CutConfig, Pieces, cut_scan
-from kalmap.records import ContourConfig, Odometry, Scan, SensorConfig
-from kalmap.slam.engines import BadSampleError, CompiledEngine
+from kalmap.perception.contours import Pieces
+from kalmap.records import Odometry
+from kalmap.slam.contours.seen import Calibration, Rules, Seen
+from kalmap.slam.engines import BadSampleError
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
 FIRST_LIMIT, LAST_LIMIT = (
@@ -43,134 +41,8 @@ SLIPPED, JUMPED = 1.3, 2.0  # how many times larger the share must be there
 TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
 ASTRAY = np.diag([0.5**2, 0.5**2, 0.1**2])
 SAGITTA = 0.01  # m, how far a contour may bend away from the line between two samples
+PUNCTUAL = np.zeros(3)  # no latency can change the way
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
-
-
-class Calibration(msgspec.Struct, frozen=True):
-    """What is known of the vehicle: mean (4,) and covariance (4, 4) of bearing scale, range offset m and lever x, y m.
-
-    A bearing b truly is (1 + scale) b, a range r truly is r + offset. The lever is where the point that the odometry
-    speaks of is in the vehicle's frame, to which the scanner is fixed as its settings say.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-class Rules(msgspec.Struct, frozen=True):
-    """What every local map of a drive works by."""
-
-    engine: CompiledEngine
-    sensor: SensorConfig
-    contour: ContourConfig
-    cut: CutConfig
-
-    @property
-    def calibration(self) -> Calibration:
-        """What is known of the scanner before the drive."""
-        contour = self.contour
-        sigmas = [
-            contour.sigma_bearing_scale,
-            contour.sigma_range_offset,
-            contour.sigma_lever,
-            contour.sigma_lever,
-        ]
-        return Calibration(np.zeros(4), np.diag(sigmas) ** 2)
-
-    @property
-    def mount(self) -> np.ndarray:
-        """(3,) the scanner on the vehicle."""
-        sensor = self.sensor
-        return np.array([sensor.mount_x, sensor.mount_y, math.radians(sensor.mount_heading_deg)])
-
-
-def rules_of(
-    motion: BuiltInMotion,
-    lineariser: Lineariser,
-    coordinates: str,
-    sensor: SensorConfig,
-    contour: ContourConfig,
-) -> Rules:
-    """The rules by which local maps are made, from the settings of a run."""
-    engine = CompiledEngine(motion, RangeBearing(), lineariser, coordinates == "invariant", False)
-    return Rules(engine, sensor, contour, CutConfig())
-
-
-class Seen(msgspec.Struct, frozen=True):
-    """A scan, cut and ready to be laid beside samples: the pieces, and what the kernels read of the beams.
-
-    sigma: (K,) m, of distances from each piece: its roughness, and its curve's uncertainty at its ends.
-    """
-
-    scan: Scan
-    pieces: Pieces
-    bearings: np.ndarray
-    ranges: np.ndarray
-    piece_of_beam: np.ndarray
-    sigma: np.ndarray
-
-
-def prepare(scan: Scan, rules: Rules, calibration: np.ndarray, twist: np.ndarray) -> Seen:
-    """Cut a scan into pieces; its beams in ascending order of bearing, which the pieces' numbers keep.
-
-    calibration: bearing scale and range offset m, which are taken out, and more. twist: (3,) m/s, m/s, rad/s of the
-    vehicle, by which the beams were taken from different places.
-    """
-    scan = undistorted(
-        calibrated(scan, calibration, rules.sensor), twist, rules.mount, rules.sensor.beam_time
-    )
-    pieces = cut_scan(scan, rules.sensor, rules.cut)
-    piece_of_beam = np.full(len(scan.bearings), -1, dtype=np.int64)
-    piece_of_beam[pieces.beam] = pieces.piece
-    bearings = np.ascontiguousarray(wrap(np.asarray(scan.bearings, dtype=float)))
-    ranges = np.asarray(scan.ranges, dtype=float)
-    ranges = np.where(ranges > rules.sensor.min_range, ranges, np.inf)  # NaN and zero too: nothing came back
-    order = np.argsort(bearings, kind="stable")
-    order = order[np.isfinite(bearings[order])]
-    return Seen(scan, pieces, bearings[order], ranges[order], piece_of_beam[order], _deviations(pieces))
-
-
-def calibrated(scan: Scan, calibration: np.ndarray, sensor: SensorConfig) -> Scan:
-    """The scan without the scanner's bearing scale and range offset, the first two of `calibration`.
-
-    What is no range of the scanner's becomes +inf before it is shifted: NaN, what is too near, and what is too far.
-    """
-    raw = np.asarray(scan.ranges, dtype=float)
-    measured = (raw > sensor.min_range) & (raw < sensor.max_range)
-    bearings = np.asarray(scan.bearings, dtype=float) * (1.0 + calibration[0])
-    return msgspec.structs.replace(
-        scan, bearings=bearings, ranges=np.where(measured, raw + calibration[1], np.inf)
-    )
-
-
-def undistorted(scan: Scan, twist: np.ndarray, mount: np.ndarray, beam_time: float) -> Scan:
-    """The scan as it would be if all its beams had been taken where the middle one was.
-
-    beam_time: s from each beam to the next, in the order of the scan. Over one sweep the vehicle's speed is constant.
-    """
-    if not beam_time or not twist.any():
-        return scan
-    after = beam_time * (np.arange(len(scan.ranges)) - 0.5 * (len(scan.ranges) - 1))
-    way = after[:, None] * twist
-    there = compose(way, np.broadcast_to(mount, way.shape))
-    back = compose(inverse(mount), there)
-    heading = back[:, 2] + scan.bearings
-    finite = np.where(np.isfinite(scan.ranges), scan.ranges, 1.0)
-    x, y = back[:, 0] + finite * np.cos(heading), back[:, 1] + finite * np.sin(heading)
-    bearings = np.where(np.isfinite(scan.ranges), np.arctan2(y, x), heading)
-    return msgspec.structs.replace(
-        scan, bearings=bearings, ranges=np.where(np.isfinite(scan.ranges), np.hypot(x, y), scan.ranges)
-    )
-
-
-def _deviations(pieces: Pieces) -> np.ndarray:
-    """(K,) m, see `Seen`."""
-    variances = pieces.sigma**2
-    rows = np.empty((2, 10))
-    for k, (ox, oy) in enumerate(pieces.origin):
-        distance_rows(pieces.coef[k], ox, oy, pieces.scale[k], pieces.ends[k], rows)
-        variances[k] += max(rows[0] @ pieces.cov[k] @ rows[0], rows[1] @ pieces.cov[k] @ rows[1])
-    return np.asarray(np.sqrt(variances))
 
 
 class LiveMap:
@@ -185,7 +57,7 @@ class LiveMap:
         self.rules = rules
         self.belief = _begun(np.zeros(3), calibration or rules.calibration)
         self._setup = rules.engine.setup.copy()
-        self._setup[BIAS_COUNT] = kernel.SAMPLES - 3  # the calibration is not turned with the map
+        self._setup[BIAS_COUNT] = state.SAMPLES - 3  # the calibration is not turned with the map
         self._since = _begun(np.zeros(3), self.calibration)
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
@@ -196,7 +68,7 @@ class LiveMap:
     @property
     def calibration(self) -> Calibration:
         """What is known of the scanner now."""
-        entries = np.arange(kernel.CALIBRATION, kernel.SAMPLES)
+        entries = np.arange(state.CALIBRATION, state.SAMPLES)
         return Calibration(self.belief.mean[entries], self.belief.block(entries))
 
     @property
@@ -221,26 +93,38 @@ class LiveMap:
 
     def map(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (3 + 2 N,) and covariance of pose and samples, the scanner's calibration left out."""
-        kept = np.concatenate([np.arange(3), np.arange(kernel.SAMPLES, self.belief.n)])
+        kept = np.concatenate([np.arange(3), np.arange(state.SAMPLES, self.belief.n)])
         return self.belief.mean[kept], self.belief.covariance()[np.ix_(kept, kept)]
 
     @property
     def samples(self) -> np.ndarray:
         """(N, 2) m; a copy."""
-        return self.belief.mean[kernel.SAMPLES : self.belief.n].reshape(-1, 2).copy()
+        return self.belief.mean[state.SAMPLES : self.belief.n].reshape(-1, 2).copy()
 
-    def predict(self, event: Odometry) -> None:
-        """Odometry: equations (5) and (6). Raises BadSampleError before anything is changed."""
+    def predict(self, event: Odometry, late: np.ndarray = PUNCTUAL) -> None:
+        """Odometry: equations (5) and (6). Raises BadSampleError before anything is changed.
+
+        late: (3,) m, m, rad, how a second more of latency would change the event's way, see `late.shifted`.
+        """
         finite = np.isfinite(event.values).all() and np.isfinite(event.durations).all()
         if not finite or (event.durations < 0.0).any():
             raise BadSampleError("an odometry sample is not finite or has a negative duration")
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
-            kernel.shift_point(belief.mean, belief.packed, belief.n, 1.0)
+            state.shift_point(belief.mean, belief.packed, belief.n, 1.0)
+            effect = np.array([*rotate(belief.mean[2], late[:2]), late[2]])
             self.rules.engine.predict(belief, event)
             belief.flush()
-            kernel.shift_point(belief.mean, belief.packed, belief.n, -1.0)
+            state.blame_latency(belief.packed, belief.n, effect)
+            state.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
+
+    def doubt(self, twist: np.ndarray, sigma: float) -> None:
+        """The stamps of this scan and of the one before are off by `sigma` s each; twist: (3,) of the vehicle."""
+        for belief in (self.belief, self._since):
+            belief.flush()
+            moving = np.array([*rotate(belief.mean[2], twist[:2]), twist[2]])
+            belief.packed[:6] += 2.0 * sigma**2 * np.outer(moving, moving)[np.tril_indices(3)]
 
     def observe(self, seen: Seen) -> None:
         """A scan: correct by the samples that it shows, found samples where it shows more, retire what is gone."""
@@ -311,7 +195,7 @@ class LiveMap:
         rows = np.flatnonzero(found >= 0)
         if not len(rows):
             return
-        indices, piece = kernel.SAMPLES + 2 * rows, found[rows]
+        indices, piece = state.SAMPLES + 2 * rows, found[rows]
         belief.flush()
         at = belief.mean.copy()  # the derivatives are taken where the scan fits best
         at[:3] = fitted
@@ -330,7 +214,7 @@ class LiveMap:
         noise[np.diag_indices(len(rows))] += excess
         left, right = belief.work(2 * len(rows))
         if status == OK:
-            status, self.nis = kernel.apply_distances(
+            status, self.nis = state.apply_distances(
                 self._setup,
                 belief.mean,
                 belief.packed,
@@ -395,8 +279,8 @@ class LiveMap:
         belief.reserve(belief.n + 2 * count)
         noise = self._noise(pieces, piece, new)
         effect = np.empty((count, 2))
-        kernel.calibration_effect(new, normal, self.rules.mount, effect)
-        belief.n = kernel.append_samples(belief.mean, belief.packed, belief.n, new, normal, effect, noise)
+        state.calibration_effect(new, normal, self.rules.mount, effect)
+        belief.n = state.append_samples(belief.mean, belief.packed, belief.n, new, normal, effect, noise)
         self.normals = np.concatenate([self.normals, rotate(belief.mean[2], normal)])
         self.sightings = np.concatenate([self.sightings, np.ones(count, dtype=np.int64)])
         self.open = np.concatenate([self.open, np.zeros(count, dtype=np.int64)])
@@ -405,7 +289,7 @@ class LiveMap:
         """Marginalise out the samples that scans look through: what stood there is gone, or never stood still."""
         gone = np.flatnonzero((self.open >= OPEN_SCANS) & (self.open > self.sightings))
         for row in gone[::-1]:
-            self.belief.remove(kernel.SAMPLES + 2 * int(row), 2)
+            self.belief.remove(state.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
         self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
 
@@ -418,12 +302,12 @@ def _value(found: np.ndarray) -> float:
 def _begun(pose: np.ndarray, calibration: Calibration) -> Belief:
     """A belief of a pose (3,) that is known exactly and of the calibration."""
     belief = Belief(pose, np.zeros((3, 3)))
-    whole = np.zeros((kernel.SAMPLES, kernel.SAMPLES))
+    whole = np.zeros((state.SAMPLES, state.SAMPLES))
     whole[3:, 3:] = calibration.covariance
-    belief.reserve(kernel.SAMPLES)
-    belief.mean[3 : kernel.SAMPLES] = calibration.mean
-    pack(whole, kernel.SAMPLES, belief.packed)
-    belief.n = kernel.SAMPLES
+    belief.reserve(state.SAMPLES)
+    belief.mean[3 : state.SAMPLES] = calibration.mean
+    pack(whole, state.SAMPLES, belief.packed)
+    belief.n = state.SAMPLES
     return belief
 
 

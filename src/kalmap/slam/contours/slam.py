@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from kalmap.gaussian import Jacobian, Lineariser, NotPositiveError
-from kalmap.geometry.se2 import compose
 from kalmap.models import Increments, RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.records import (
@@ -30,9 +29,11 @@ from kalmap.records import (
 from kalmap.slam.checks import check_odometry, check_scan, check_time, checked_start
 from kalmap.slam.contours.closed import ENOUGH
 from kalmap.slam.contours.held import holding
+from kalmap.slam.contours.late import Late, shifted
 from kalmap.slam.contours.leg import OpenLeg, composed
-from kalmap.slam.contours.live import LiveMap, Rules, prepare, rules_of
+from kalmap.slam.contours.live import LiveMap
 from kalmap.slam.contours.loops import FLOOR, Loops
+from kalmap.slam.contours.seen import Rules, later, prepare, rules_of
 from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
 from kalmap.slam.contours.witness import Witness
 from kalmap.slam.contours.worker import Joined, Placed, Worker, closed, relaid
@@ -89,7 +90,8 @@ class ContourSlam:
         self._time = float("-inf")
         self._moved = False
         self._way, self._turn = 0.0, 0.0  # since the last scan that was used
-        self._twist = np.zeros(3)  # m/s, m/s, rad/s of the vehicle, by the last odometry
+        self._late = Late()
+        self._twist = np.zeros(3)  # m/s, m/s, rad/s of the vehicle, where the last scan was taken
         self._changes = self._frames = 0
         self._estimate: tuple[int, Estimate] | None = None
         self._framed: tuple[Placed, int, np.ndarray, np.ndarray] | None = (
@@ -118,34 +120,30 @@ class ContourSlam:
     def _predict(self, event: Odometry) -> None:
         check_odometry(event, self.motion)
         before = self._live.pose
+        late = self._late.after(event, self.motion)
         try:
-            self._live.predict(event)
+            self._live.predict(*shifted(self._late, late, event, self._latency, self.motion))
         except BadSampleError as problem:
             raise EventError(str(problem), time=event.time, field="values") from problem
         except NotPositiveError as problem:
             raise EstimationError(f"t = {event.time:.6g} s: {problem}") from problem
+        self._late = late
         after = self._live.pose
         self._way += float(np.hypot(*(after[:2] - before[:2])))
         self._turn += abs(math.remainder(after[2] - before[2], 2.0 * math.pi))
         self._moved = True
-        self._twist = self._speed(event)
 
-    def _speed(self, event: Odometry) -> np.ndarray:
-        """(3,) of the vehicle over an event; a stamp that comes early makes it no faster than a sweep allows."""
-        took = float(event.durations.sum())
-        if not len(event.durations) or took <= 0.0:
-            return np.zeros(3)
-        way = np.zeros(3)
-        for values, duration in zip(event.values, event.durations, strict=True):
-            way = compose(way, self.motion.increment(values, np.zeros(0), float(duration)))
-        sweep = 2.0 * math.pi / math.radians(0.25) * self.scanner.beam_time
-        return np.asarray(way / max(took, sweep))
+    @property
+    def _latency(self) -> float:
+        return float(self._live.calibration.mean[4])
 
     def _observe(self, scan: Scan) -> None:
         if not self._moved:
             raise EventError("a scan before any odometry", time=scan.time, field="time")
         check_scan(scan)
         used = not self._live.scans or self._far_enough()
+        sweep = self.scanner.beam_time * len(scan.ranges)
+        self._twist = self._late.twist(self._late.now - self._latency, sweep)
         self.frame_nis, self.frame_used = float("nan"), 0
         if used:
             self._use(scan)
@@ -161,6 +159,8 @@ class ContourSlam:
         """Correct the local map by a scan."""
         seen = prepare(scan, self.rules, self._live.calibration.mean, self._twist)
         driven = self._live.driven
+        if self.settings.sigma_stamp:
+            self._live.doubt(self._twist, self.settings.sigma_stamp)
         try:
             self._live.observe(seen)
         except NotPositiveError as problem:
@@ -186,7 +186,7 @@ class ContourSlam:
         live = self._live
         self._worker.close(live, self._leg.leg())
         self._ends.append((live.pose, live.pose_covariance))
-        self._live, self._leg = LiveMap(self.rules, live.calibration), OpenLeg()
+        self._live, self._leg = LiveMap(self.rules, later(live.calibration)), OpenLeg()
         self._live.observe(prepare(scan, self.rules, live.calibration.mean, self._twist))
 
     # --- what it says -----------------------------------------------------------------------------------------
@@ -278,7 +278,7 @@ class ContourSlam:
 
     def _counts(self, loops: Loops) -> dict[str, float]:
         calibration = self._live.calibration
-        deviations = np.sqrt(np.diagonal(calibration.covariance))
+        deviations = np.sqrt(np.diagonal(later(calibration).covariance))
         return {
             "local_maps": len(loops.maps),
             "loops": sum(relation.loop for relation in loops.graph.relations),
@@ -292,6 +292,8 @@ class ContourSlam:
             "lever_x_sigma_m": float(deviations[2]),
             "lever_y_m": float(calibration.mean[3]),
             "lever_y_sigma_m": float(deviations[3]),
+            "latency_s": float(calibration.mean[4]),
+            "latency_sigma_s": float(deviations[4]),
         }
 
     def settled_labels(self, labels: np.ndarray) -> np.ndarray:

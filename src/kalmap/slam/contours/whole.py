@@ -15,7 +15,7 @@ from kalmap.geometry.se2 import compose, rotate
 from kalmap.records import Contours, Sweeps, Trajectory
 from kalmap.slam.contours.closed import ClosedMap, neighbours
 from kalmap.slam.contours.leg import Leg, composed
-from kalmap.slam.contours.live import Rules, calibrated, undistorted
+from kalmap.slam.contours.seen import Rules, calibrated, undistorted
 
 CROWDED = (
     0.6  # spacings: a sample this near to one of another map, on the same side of a contour, is left out

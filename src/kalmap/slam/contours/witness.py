@@ -10,7 +10,7 @@ from kalmap.geometry.se2 import compose, inverse
 from kalmap.kernels import contour as kernel
 from kalmap.slam.contours.closed import ENOUGH, ClosedMap
 from kalmap.slam.contours.leg import Leg
-from kalmap.slam.contours.live import Rules, Seen, prepare
+from kalmap.slam.contours.seen import Rules, Seen, prepare
 
 SCANS = 8  # of a map, spread over its leg, that are asked
 LIMIT = 0.15  # m, how far a sample may lie from what the scan shows

@@ -7,8 +7,9 @@ import numpy as np
 
 from kalmap.slam.contours.closed import ClosedMap
 from kalmap.slam.contours.leg import Leg
-from kalmap.slam.contours.live import LiveMap, prepare
+from kalmap.slam.contours.live import LiveMap
 from kalmap.slam.contours.loops import Loops
+from kalmap.slam.contours.seen import prepare
 from kalmap.slam.contours.witness import Witness
 from kalmap.slam.in_order import InOrder
 
