@@ -131,3 +131,13 @@ def test_scans_with_most_ranges_bad_are_told_and_good_ones_are_not(name):
         share = share_on_contours(scans, log.defaults.sensor, most=20)
         warnings = contour_warnings({"ranges_on_contours_share": share})
         assert len(warnings) == told and all("on no contour" in each for each in warnings)
+
+
+@pytest.mark.parametrize(
+    ("latency", "sigma", "said"),
+    [(0.15, 0.01, "150 ms later"), (-0.05, 0.01, "50 ms earlier"), (0.02, 0.001, None), (0.05, 0.02, None)],
+)
+def test_late_stamps_are_told(latency, sigma, said):
+    """Not what is too little to matter, nor what may be chance."""
+    warnings = contour_warnings({"latency_s": latency, "latency_sigma_s": sigma})
+    assert [said in each for each in warnings] == ([True] if said else [])

@@ -13,6 +13,8 @@ from kalmap.view.reading import number
 
 Card = tuple[str, str, str, str]
 
+LEAST_LATENCY = 0.03
+"""s, worth telling."""
 LEAST_ON_CONTOURS = 0.75
 """Of the ranges. A piece of contour needs four; if more than every fourth range is on none, the usual four are torn."""
 
@@ -54,8 +56,8 @@ def relation_cards(metrics: Mapping[str, Any]) -> Iterator[Card]:
 
 
 def contour_warnings(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """What must be known before a map of contours is trusted: scans that hold the vehicle badly, or not at all."""
-    return (*_torn(metrics), *_loose(metrics))
+    """What must be known of a map of contours: scans that hold the vehicle badly, or not at all, or come late."""
+    return (*_torn(metrics), *_loose(metrics), *_late(metrics))
 
 
 def _torn(metrics: Mapping[str, Any]) -> Iterator[str]:
@@ -79,6 +81,18 @@ def _loose(metrics: Mapping[str, Any]) -> Iterator[str]:
         f"{where} hold the vehicle along one direction no better than its odometry does, as in a corridor without "
         f"features: the map is only as long there as the odometry says (weakest at {number(direction)} deg, standard "
         f"deviation {number(sigma)} m)."
+    )
+
+
+def _late(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Stamps of scans and of the odometry that do not belong together."""
+    latency, sigma = metrics.get("latency_s"), metrics.get("latency_sigma_s")
+    if latency is None or sigma is None or abs(latency) < max(LEAST_LATENCY, 3.0 * sigma):
+        return
+    late = "later" if latency > 0 else "earlier"
+    yield (
+        f"The scans are stamped {1e3 * abs(latency):.0f} ms {late} than they were taken, by the odometry's clock "
+        f"(standard deviation {1e3 * sigma:.0f} ms): the vehicle is told where it was then."
     )
 
 
