@@ -18,7 +18,7 @@ from kalmap.kernels import contour_state as state
 from kalmap.kernels.packed import pack, unpack
 from kalmap.models import Increments
 from kalmap.records import Odometry, Scan
-from kalmap.slam.contours.late import Late, shifted
+from kalmap.slam.contours.late import Late
 
 MOTION = Increments()
 

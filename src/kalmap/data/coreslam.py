@@ -36,6 +36,8 @@ FIRST_DISTANCE = 0.020
 """m: what is less is an error code."""
 SIGMA_STAMP = 0.01
 """s, what is left when the stamps have been evened."""
+FARTHEST_STAMP = 0.5
+"""s, from when the scan was taken; a computer hangs for no longer."""
 NEAR_TURNS = 50
 """Of the scanner, whose stamps say together when each was."""
 _HEAD = 1 << 14
@@ -75,18 +77,18 @@ def read_coreslam(path: Path) -> Drive:
         raise LogError("holds no scans", file=path)
     good = np.ones(len(table.values), dtype=bool)
     good[list(table.malformed)] = False
-    read = table.values[good, 0] / 1e6
     stamps = table.values[:, 0] / 1e6
-    stamps[good] = evened(read)
-    poses = np.full((len(good), 3), np.nan)
-    poses[good] = interpolated(np.maximum.accumulate(read), _reckoned(table.values[good, 2:4]), stamps[good])[
-        0
-    ]
+    times, poses = stamps.copy(), np.full((len(good), 3), np.nan)
+    times[good] = evened(stamps[good])
+    poses[good] = _reckoned(table.values[good, 2:4])
+    if (times[good] != stamps[good]).any():
+        poses[good] = interpolated(stamps[good], poses[good], times[good])[0]
     ranges = cleaned(table.values[:, FIRST_RANGE:] / 1000.0, FIRST_DISTANCE, np.inf)
     bearings = np.deg2rad((np.arange(BEAMS) - FORWARD) * SPACING_DEG)
     return Drive(
         file=str(path),
         stamps=stamps,
+        times=times,
         records=table.records,
         poses=poses,
         ranges=list(ranges),
@@ -100,13 +102,15 @@ def evened(stamps: np.ndarray) -> np.ndarray:
     """(n,) s, when the scans were taken, up to what all are late by; stamps: (n,) s, when they and the ticks were read.
 
     The scanner turns at a constant rate and knows nothing of the computer that asks it, 30 ms early or late.
-    Every line is a turn; over some seconds the median says which.
+    Every line is a turn; over some seconds the median says which. The stamps stay where one of them is none, goes
+    back, or is far from where it should be.
     """
-    if len(stamps) < 2 * NEAR_TURNS:
+    if len(stamps) < 2 * NEAR_TURNS or not np.isfinite(stamps).all() or (np.diff(stamps) < 0.0).any():
         return stamps
     turns = np.arange(len(stamps))
     period = float(np.median(stamps[NEAR_TURNS:] - stamps[:-NEAR_TURNS])) / NEAR_TURNS
-    return period * turns + median_filter(stamps - period * turns, size=NEAR_TURNS + 1, mode="nearest")
+    even = period * turns + median_filter(stamps - period * turns, size=NEAR_TURNS + 1, mode="nearest")
+    return even if np.abs(even - stamps).max() < FARTHEST_STAMP and (np.diff(even) > 0.0).all() else stamps
 
 
 def _reckoned(ticks: np.ndarray) -> np.ndarray:

@@ -49,6 +49,7 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True):
     malformed: row -> why it could not be read; its numbers are NaN. left_out: row -> why it is passed over without
     being a fault. jumps: row -> how the clock jumps before it; the odometry across a jump is not used.
     silences: of the odometry that the poses were interpolated from.
+    times: (n,) s, when the scans were taken, where that is known better than the stamps say.
     covered: set of beams -> (B,) bool, which of them see the robot itself and are left out.
     mount: (3,) the laser in the robot's frame. reach: m, what lies at or beyond it is no return; inf if not known.
     notes: what the reader decided that a user should know.
@@ -68,6 +69,7 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True):
     covered: dict[Fan, np.ndarray] = msgspec.field(default_factory=dict)
     mount: np.ndarray = msgspec.field(default_factory=lambda: np.zeros(3))
     reach: float = np.inf
+    times: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     def rows(self) -> np.ndarray:
@@ -147,9 +149,9 @@ def times_put_right(drive: Drive) -> np.ndarray:
     After a jump of the clock back, or a stamp that lies `SET_BACK` before the one before it, all stamps are moved on by
     the same amount. Rows that become no events keep theirs.
     """
-    times = drive.stamps.copy()
+    times = (drive.stamps if drive.times is None else drive.times).copy()
     last, moved, jumped = -np.inf, 0.0, False
-    for row, stamp in enumerate(drive.stamps.tolist()):
+    for row, stamp in enumerate(times.tolist()):
         jumped |= row in drive.jumps
         if row in drive.malformed or row in drive.left_out:
             continue

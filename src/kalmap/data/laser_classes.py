@@ -119,10 +119,14 @@ def stamps_tell(drive: Drive) -> bool:
     rows = drive.rows()
     steps, _ = steps_of(drive)
     ways = np.hypot(*steps[rows, :2].T)[1:]
-    took = np.diff(drive.stamps[rows])
+    took = np.diff((drive.stamps if drive.times is None else drive.times)[rows])
+    going = ways[ways > 0.0]
+    if not len(going) or (took <= 0.0).mean() > MOST_BACKWARDS:
+        return False
+    apart = max(1, math.ceil(LEAST_STEP / float(np.median(going))))  # a fast scanner's steps are a few mm
+    ways, took = (np.add.reduceat(each, np.arange(0, len(each), apart)) for each in (ways, took))
     pairs = (ways[1:] > LEAST_STEP) & (ways[:-1] > LEAST_STEP) & (took[1:] > 0.0) & (took[:-1] > 0.0)
-    backwards = float((took <= 0.0).mean()) if len(took) else 1.0
-    if pairs.sum() < LEAST_PAIRS or backwards > MOST_BACKWARDS:
+    if pairs.sum() < LEAST_PAIRS:
         return False
     speeds = np.divide(ways, took, out=np.zeros(len(ways)), where=took > 0.0)
     return _change(speeds, pairs) <= _change(ways, pairs) + SAME_CHANGE

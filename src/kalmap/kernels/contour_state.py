@@ -62,6 +62,15 @@ def blame_latency(packed, n, effect):
             row[k] += effect[k] * row[LATENCY]
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def acquit_latency(packed, n):
+    """Take the latency for independent of all the rest: what comes next has nothing to say about it. O(n)."""
+    first = LATENCY * (LATENCY + 1) // 2
+    packed[first : first + LATENCY] = 0.0
+    for i in range(LATENCY + 1, n):
+        packed[i * (i + 1) // 2 + LATENCY] = 0.0
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _fill_scalar_rows(n, matrices, rows, work):
     """work[m, :n] = A_m P from the gathered rows of P: two of the calibration, two a sample, three of the pose."""

@@ -129,7 +129,7 @@ def save_contours(slam: ContourSlam, path: str | os.PathLike[str]) -> None:
         way=slam._way,
         turn=slam._turn,
         twist=slam._twist,
-        late=slam._late,
+        late=slam._clock.late,
         changes=slam._changes,
         frames=slam._frames,
     )
@@ -160,7 +160,7 @@ def load_contours(kind: type[ContourSlam], path: str | os.PathLike[str]) -> Cont
         slam._ends = list(zip(state.ends.poses, state.ends.covariances, strict=True))
         slam._time, slam._moved = state.time, state.moved
         slam._way, slam._turn, slam._twist = state.way, state.turn, state.twist
-        slam._late = state.late
+        slam._clock.late = state.late
         slam._changes, slam._frames = state.changes, state.frames
         return slam
 
@@ -266,6 +266,9 @@ def _check(state: _State) -> None:
     rows = len(state.late.ends)
     check_arrays((state.late.begins, (rows,), "f"), (state.late.ends, (rows,), "f"))
     check_arrays((state.late.ways, (rows, 3), "f"), (state.late.covariances, (rows, 3, 3), "f"))
+    check_arrays((state.late.poses, (rows, 3), "f"))
+    if (np.diff(state.late.ends) < 0.0).any() or (state.late.ends < state.late.begins).any():
+        raise ValueError("its odometry is not in the order of time")
     check_arrays((state.twist, (3,), "f"), *((each.driven, (2, 2), "f") for each in state.legs))
     check_arrays(*((each.twists, (len(each.poses), 3), "f") for each in state.legs))
     if (len(state.legs), len(state.ends.poses)) != (maps + 1, maps):

@@ -16,8 +16,8 @@ from kalmap.kernels.layout import BIAS_COUNT, OK
 from kalmap.kernels.packed import pack
 from kalmap.perception.contours import Pieces
 from kalmap.records import Odometry
+from kalmap.slam.contours.late import check_samples
 from kalmap.slam.contours.seen import Calibration, Rules, Seen
-from kalmap.slam.engines import BadSampleError
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
 FIRST_LIMIT, LAST_LIMIT = (
@@ -26,7 +26,7 @@ FIRST_LIMIT, LAST_LIMIT = (
 )  # m, how far from a curve a sample may lie in the first round and in the last
 OPEN_SCANS = 3  # scans in a row that look through a sample before it is retired
 TRUSTED_SHARE = 0.5  # of what scans find as a rule of the samples in view, below which one is tried elsewhere
-FAR = 25.0  # squared distance from the odometry's place beyond which a scan's place is doubted
+FAR = 25.0  # squared distance from the odometry's place beyond which a scan's place, or the odometry, is doubted
 NEAR_LIMIT = 0.08  # m, how far from a curve a sample may lie where the odometry is believed
 SMALL = np.diag([1e-6, 1e-6, 1e-7])  # what no odometry is better than
 FORGET = 0.05  # a scan's part in what is the rule
@@ -106,9 +106,7 @@ class LiveMap:
 
         late: (3,) m, m, rad, how a second more of latency would change the event's way, see `late.shifted`.
         """
-        finite = np.isfinite(event.values).all() and np.isfinite(event.durations).all()
-        if not finite or (event.durations < 0.0).any():
-            raise BadSampleError("an odometry sample is not finite or has a negative duration")
+        check_samples(event)
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
             state.shift_point(belief.mean, belief.packed, belief.n, 1.0)
@@ -119,21 +117,18 @@ class LiveMap:
             state.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
 
-    def doubt(self, twist: np.ndarray, sigma: float) -> None:
-        """The stamps of this scan and of the one before are off by `sigma` s each; twist: (3,) of the vehicle."""
-        for belief in (self.belief, self._since):
-            belief.flush()
-            moving = np.array([*rotate(belief.mean[2], twist[:2]), twist[2]])
-            belief.packed[:6] += 2.0 * sigma**2 * np.outer(moving, moving)[np.tril_indices(3)]
+    def observe(self, seen: Seen, stray: np.ndarray = PUNCTUAL) -> None:
+        """A scan: correct by the samples that it shows, found samples where it shows more, retire what is gone.
 
-    def observe(self, seen: Seen) -> None:
-        """A scan: correct by the samples that it shows, found samples where it shows more, retire what is gone."""
+        stray: (3,) m, m, rad in the vehicle's frame, standard deviation of where the scan was taken along the way,
+        since no stamp is exact.
+        """
         self.nis, self.used = float("nan"), 0
         self.scans += 1
         if self.count and len(seen.pieces):
-            self._correct(seen)
+            self._correct(seen, stray)
         if len(seen.pieces):
-            self._found(seen)
+            self._found(seen, stray)
         self._since = _begun(self.belief.mean[:3], self.calibration)
         self._retire()
 
@@ -145,10 +140,8 @@ class LiveMap:
         (N,): its piece, or HIDDEN, OPEN, ASIDE.
         """
         fitted, found = self.place(seen, pose, prior)
-        shift = fitted - pose
-        shift[2] = wrap(shift[2])
         # beyond that the odometry lies, or the scan is on the wrong samples
-        if shift @ np.linalg.solve(prior + SMALL, shift) > FAR:
+        if _squared(fitted - pose, prior) > FAR:
             near, there = self.place(seen, pose, prior, NEAR_LIMIT)
             if BETTER * _value(there) >= _value(found):
                 fitted, found = near, there
@@ -186,10 +179,15 @@ class LiveMap:
         fitted[2] = wrap(fitted[2])
         return fitted, found
 
-    def _correct(self, seen: Seen) -> None:
+    def _correct(self, seen: Seen, stray: np.ndarray) -> None:
         """Equations (7) to (11), with the distances' derivatives taken where the scan fits the samples."""
         belief, pieces = self.belief, seen.pieces
-        fitted, found = self.fit(seen, belief.mean[:3], self._since.robot_covariance()[:3, :3])
+        turned = np.array([*rotate(belief.mean[2], stray[:2]), stray[2]])
+        prior = self._since.robot_covariance()[:3, :3] + np.outer(turned, turned)
+        fitted, found = self.fit(seen, belief.mean[:3], prior)
+        if _squared(fitted - belief.mean[:3], prior) > FAR:  # wheels slipped, no latency is to blame
+            belief.flush()
+            state.acquit_latency(belief.packed, belief.n)
         self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
         self.usual += FORGET * (_share(found) - self.usual)
         rows = np.flatnonzero(found >= 0)
@@ -210,6 +208,8 @@ class LiveMap:
         moved[2] = wrap(moved[2])
         innovation = -distances - matrices[:, :3] @ moved
         noise = self._noise(pieces, piece, _turned_back(at, belief.mean[indices[:, None] + np.arange(2)]))
+        late = matrices[:, :3] @ turned
+        noise += np.outer(late, late)
         excess = np.maximum(0.0, (distances / OUTLIER) ** 2 - np.diagonal(noise)) + residuals
         noise[np.diag_indices(len(rows))] += excess
         left, right = belief.work(2 * len(rows))
@@ -262,7 +262,7 @@ class LiveMap:
         )  # fmt: skip
         return noise
 
-    def _found(self, seen: Seen) -> None:
+    def _found(self, seen: Seen, stray: np.ndarray) -> None:
         """New samples where the scan shows contour that no sample stands for."""
         belief, pieces = self.belief, seen.pieces
         spacing = np.minimum(self.rules.contour.spacing, _spacing_by_bend(pieces))
@@ -278,6 +278,8 @@ class LiveMap:
         belief.flush()
         belief.reserve(belief.n + 2 * count)
         noise = self._noise(pieces, piece, new)
+        late = normal @ stray[:2] + stray[2] * (normal[:, 1] * new[:, 0] - normal[:, 0] * new[:, 1])
+        noise += np.outer(late, late)
         effect = np.empty((count, 2))
         state.calibration_effect(new, normal, self.rules.mount, effect)
         belief.n = state.append_samples(belief.mean, belief.packed, belief.n, new, normal, effect, noise)
@@ -292,6 +294,12 @@ class LiveMap:
             self.belief.remove(state.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
         self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
+
+
+def _squared(shift: np.ndarray, covariance: np.ndarray) -> float:
+    """Squared Mahalanobis distance of two poses that differ by `shift` (3,)."""
+    shift[2] = wrap(shift[2])
+    return float(shift @ np.linalg.solve(covariance + SMALL, shift))
 
 
 def _value(found: np.ndarray) -> float:

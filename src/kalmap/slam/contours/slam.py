@@ -29,9 +29,9 @@ from kalmap.records import (
 from kalmap.slam.checks import check_odometry, check_scan, check_time, checked_start
 from kalmap.slam.contours.closed import ENOUGH
 from kalmap.slam.contours.held import holding
-from kalmap.slam.contours.late import Late, shifted
+from kalmap.slam.contours.late import Clock, Late, check_samples
 from kalmap.slam.contours.leg import OpenLeg, composed
-from kalmap.slam.contours.live import LiveMap
+from kalmap.slam.contours.live import PUNCTUAL, LiveMap
 from kalmap.slam.contours.loops import FLOOR, Loops
 from kalmap.slam.contours.seen import Rules, later, prepare, rules_of
 from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
@@ -90,7 +90,7 @@ class ContourSlam:
         self._time = float("-inf")
         self._moved = False
         self._way, self._turn = 0.0, 0.0  # since the last scan that was used
-        self._late = Late()
+        self._clock = Clock(self.motion)
         self._twist = np.zeros(3)  # m/s, m/s, rad/s of the vehicle, where the last scan was taken
         self._changes = self._frames = 0
         self._estimate: tuple[int, Estimate] | None = None
@@ -119,19 +119,31 @@ class ContourSlam:
 
     def _predict(self, event: Odometry) -> None:
         check_odometry(event, self.motion)
-        before = self._live.pose
-        late = self._late.after(event, self.motion)
         try:
-            self._live.predict(*shifted(self._late, late, event, self._latency, self.motion))
+            check_samples(event)
+            if self._timed:
+                self._move(*self._clock.shifted(event, self._latency))
+            else:
+                self._move(event)
         except BadSampleError as problem:
             raise EventError(str(problem), time=event.time, field="values") from problem
         except NotPositiveError as problem:
             raise EstimationError(f"t = {event.time:.6g} s: {problem}") from problem
-        self._late = late
+        self._moved = True
+
+    def _move(self, event: Odometry, effect: np.ndarray = PUNCTUAL, late: Late | None = None) -> None:
+        """Predict by odometry of the scans' time; late: what is known of the odometry then."""
+        before = self._live.pose
+        self._live.predict(event, effect)
         after = self._live.pose
         self._way += float(np.hypot(*(after[:2] - before[:2])))
         self._turn += abs(math.remainder(after[2] - before[2], 2.0 * math.pi))
-        self._moved = True
+        self._clock.late = late or self._clock.late
+
+    @property
+    def _timed(self) -> bool:
+        """Whether it matters when something was, and not only in which order."""
+        return bool(self.scanner.beam_time or self.settings.sigma_latency or self.settings.sigma_stamp)
 
     @property
     def _latency(self) -> float:
@@ -141,9 +153,8 @@ class ContourSlam:
         if not self._moved:
             raise EventError("a scan before any odometry", time=scan.time, field="time")
         check_scan(scan)
+        self._catch_up(scan)
         used = not self._live.scans or self._far_enough()
-        sweep = self.scanner.beam_time * len(scan.ranges)
-        self._twist = self._late.twist(self._late.now - self._latency, sweep)
         self.frame_nis, self.frame_used = float("nan"), 0
         if used:
             self._use(scan)
@@ -155,14 +166,22 @@ class ContourSlam:
         if used and self._full():
             self._close(scan)
 
+    def _catch_up(self, scan: Scan) -> None:
+        """Go on to where the scan was taken, if that is after the odometry, and see how fast the vehicle went there."""
+        if not self._timed:
+            return
+        further = self._clock.up_to(scan.time, self._latency)
+        if further is not None:
+            self._move(*further)
+        late = self._clock.late
+        self._twist = late.twist(late.told - self._latency, self.scanner.beam_time * len(scan.ranges))
+
     def _use(self, scan: Scan) -> None:
         """Correct the local map by a scan."""
         seen = prepare(scan, self.rules, self._live.calibration.mean, self._twist)
         driven = self._live.driven
-        if self.settings.sigma_stamp:
-            self._live.doubt(self._twist, self.settings.sigma_stamp)
         try:
-            self._live.observe(seen)
+            self._live.observe(seen, self.settings.sigma_stamp * self._twist)
         except NotPositiveError as problem:
             raise EstimationError(f"t = {scan.time:.6g} s: {problem}") from problem
         self._leg.driven += driven
@@ -187,7 +206,8 @@ class ContourSlam:
         self._worker.close(live, self._leg.leg())
         self._ends.append((live.pose, live.pose_covariance))
         self._live, self._leg = LiveMap(self.rules, later(live.calibration)), OpenLeg()
-        self._live.observe(prepare(scan, self.rules, live.calibration.mean, self._twist))
+        seen = prepare(scan, self.rules, live.calibration.mean, self._twist)
+        self._live.observe(seen, self.settings.sigma_stamp * self._twist)
 
     # --- what it says -----------------------------------------------------------------------------------------
 
