@@ -78,8 +78,8 @@ class Late(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """(3,) the vehicle at an instant. Before the first row it stood; after the last it goes on as it went."""
         if not len(self.ends):
             return np.zeros(3)
-        row = int(np.searchsorted(self.ends, min(instant, self.now)))
-        row = min(row, len(self.ends) - 1)
+        last = len(self.ends) - 1
+        row = last if instant >= self.now else int(np.searchsorted(self.ends, instant))
         begin, end = float(self.begins[row]), float(self.ends[row])
         share = min(max((instant - begin) / (end - begin), 0.0), 1.0) if end > begin else 1.0
         pose = compose(self.poses[row], exponential(share * self.ways[row]))
@@ -151,7 +151,7 @@ class Clock:
         before = msgspec.structs.replace(late, told=after.told) if math.isnan(late.told) else late
         way, covariance, effect = moved(before, after, event.time, latency)
         after = msgspec.structs.replace(after, told=event.time)
-        if latency == 0.0 and late.told == late.now:
+        if latency == 0.0 and (math.isnan(late.now) or late.told == late.now):
             return event, effect, after
         return _event(event, way, covariance), effect, after
 

@@ -33,7 +33,7 @@ from kalmap.slam.contours.late import Clock, Late, check_samples
 from kalmap.slam.contours.leg import OpenLeg, composed
 from kalmap.slam.contours.live import PUNCTUAL, LiveMap
 from kalmap.slam.contours.loops import FLOOR, Loops
-from kalmap.slam.contours.seen import Rules, later, prepare, rules_of
+from kalmap.slam.contours.seen import LATENCY_BIAS, Rules, later, prepare, rules_of
 from kalmap.slam.contours.whole import whole_contours, whole_sweeps, whole_trajectory
 from kalmap.slam.contours.witness import Witness
 from kalmap.slam.contours.worker import Joined, Placed, Worker, closed, relaid
@@ -298,7 +298,8 @@ class ContourSlam:
 
     def _counts(self, loops: Loops) -> dict[str, float]:
         calibration = self._live.calibration
-        deviations = np.sqrt(np.diagonal(later(calibration).covariance))
+        deviations = np.sqrt(np.diagonal(calibration.covariance))
+        latency = math.hypot(deviations[4], LATENCY_BIAS) if deviations[4] else 0.0
         return {
             "local_maps": len(loops.maps),
             "loops": sum(relation.loop for relation in loops.graph.relations),
@@ -313,7 +314,7 @@ class ContourSlam:
             "lever_y_m": float(calibration.mean[3]),
             "lever_y_sigma_m": float(deviations[3]),
             "latency_s": float(calibration.mean[4]),
-            "latency_sigma_s": float(deviations[4]),
+            "latency_sigma_s": latency,
         }
 
     def settled_labels(self, labels: np.ndarray) -> np.ndarray:
