@@ -6,8 +6,8 @@ see there.
 One frame is `associate` and `settle`, the reasons not asked for: everything from the sightings to the updated memory,
 but not the filter's update. DJNN has its counter; the others believe every landmark (`Keep`). Nothing is merged.
 
-Time by the wall, one BLAS thread; the median over the frames of the median over the rounds, so that being interrupted
-does not count. A third of DJNN's is the filter's own regression of the candidates (central differences).
+Time of the processor, one BLAS thread; the median over the frames of the median over the rounds, so that being
+interrupted does not count. A third of DJNN's is the filter's own regression of the candidates (central differences).
 
     python benchmarks/association.py [--quick]
 """
@@ -78,18 +78,18 @@ class Course:
         return memory
 
     def pass_once(self, method: Gated, memory: Any) -> np.ndarray:
-        """(frames,) seconds by the wall clock."""
+        """(frames,) seconds of the processor."""
         spent = np.empty(len(self.frames))
         for k, (pose, frame) in enumerate(zip(self.poses, self.frames, strict=True)):
             self.belief.mean[:3] = pose
             noises, _ = self.slam._engine.noises(frame.values)
-            begin = time.perf_counter()
+            begin = time.process_time()
             predicted = PredictedMap(
                 self.slam._engine, self.belief, self.slam.sensor, self.index, frame, noises
             )
             association = method.associate(memory, frame, predicted)
             method.settle(memory, association)
-            spent[k] = time.perf_counter() - begin
+            spent[k] = time.process_time() - begin
         return spent
 
 
