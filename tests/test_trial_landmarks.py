@@ -46,7 +46,12 @@ def with_clutter(events: list, seed: int) -> list:
 
 
 CLEAN = circle_events(7, frames=30)
-CLUTTERED = with_clutter(CLEAN, 1)
+
+
+@pytest.fixture(name="cluttered", scope="module")
+def cluttered_events() -> list:
+    """CLEAN among clutter."""
+    return with_clutter(CLEAN, 1)
 
 
 def assert_same_gaussian(got: LandmarkSlam, wanted: LandmarkSlam) -> None:
@@ -59,7 +64,7 @@ def assert_same_gaussian(got: LandmarkSlam, wanted: LandmarkSlam) -> None:
 @pytest.mark.parametrize("coordinates", ["additive", "invariant"])
 @pytest.mark.parametrize("management", MANAGEMENTS)
 @pytest.mark.parametrize("method", METHODS)
-def test_clutter_that_is_never_believed_leaves_no_trace(method, management, coordinates):
+def test_clutter_that_is_never_believed_leaves_no_trace(method, management, coordinates, cluttered):
     """Oracle: the same filter on the same log without the clutter: mean and covariance of pose and map, to rounding,
     after every frame."""
     settings = {
@@ -68,7 +73,7 @@ def test_clutter_that_is_never_believed_leaves_no_trace(method, management, coor
     }
     dirty, clean = LandmarkSlam(**settings), LandmarkSlam(**settings)
     again = 0
-    for number, (false, true) in enumerate(zip(CLUTTERED, CLEAN, strict=True)):
+    for number, (false, true) in enumerate(zip(cluttered, CLEAN, strict=True)):
         dirty.step(false)
         clean.step(true)
         if isinstance(false, Sightings):
@@ -84,7 +89,7 @@ def test_clutter_that_is_never_believed_leaves_no_trace(method, management, coor
 
 @pytest.mark.parametrize("rule", LINEARISERS)
 @pytest.mark.parametrize("use", ["joint", "sequential"])
-def test_the_same_with_every_lineariser_and_biases(rule, use):
+def test_the_same_with_every_lineariser_and_biases(rule, use, cluttered):
     """Oracle: as above."""
     settings = {
         "motion": VelocitySteering(biases=STEERING_BIASES[:2]),
@@ -93,11 +98,11 @@ def test_the_same_with_every_lineariser_and_biases(rule, use):
         "use": use,
         "start_covariance": np.diag([0.1, 0.1, 0.01]),
     }
-    assert_same_gaussian(feed(LandmarkSlam(**settings), CLUTTERED), feed(LandmarkSlam(**settings), CLEAN))
+    assert_same_gaussian(feed(LandmarkSlam(**settings), cluttered), feed(LandmarkSlam(**settings), CLEAN))
 
 
 @pytest.mark.parametrize("scope", ["reduced", "full"])
-def test_the_same_in_the_general_engine(scope):
+def test_the_same_in_the_general_engine(scope, cluttered):
     """Oracle: as above, with the engine in numpy; the full scope's points see the clutter, but central differences'
     choose what is read alone (Theorem 1 of Chen & Cheng 2012)."""
 
@@ -106,7 +111,7 @@ def test_the_same_in_the_general_engine(scope):
 
     settings = {"motion": Own(), "association": Djnn(management=Counter(admit=3)), "scope": scope}
     assert_same_gaussian(
-        feed(LandmarkSlam(**settings), CLUTTERED[:30]), feed(LandmarkSlam(**settings), CLEAN[:30])
+        feed(LandmarkSlam(**settings), cluttered[:30]), feed(LandmarkSlam(**settings), CLEAN[:30])
     )
 
 
@@ -136,11 +141,11 @@ def test_nothing_is_corrected_before_somebody_is_believed():
     assert slam.estimate().landmarks.sightings.tolist() == [3] * slam.landmark_count
 
 
-def test_a_frame_of_held_and_believed_uses_the_believed_alone():
+def test_a_frame_of_held_and_believed_uses_the_believed_alone(cluttered):
     """Oracle: the belief before the frame, updated by the engine with the confirmed landmarks' sightings only."""
     slam = LandmarkSlam(association=Djnn(management=Counter(admit=4)))
     mixed = 0
-    for event in CLUTTERED:
+    for event in cluttered:
         before, count = copy_belief(slam._belief), len(slam._ids)
         sure = [number not in slam._on_trial for number in slam._ids]
         slam.step(event)
@@ -162,9 +167,9 @@ def test_a_frame_of_held_and_believed_uses_the_believed_alone():
     assert mixed >= 3
 
 
-def test_what_was_never_believed_is_no_landmark_in_the_result():
+def test_what_was_never_believed_is_no_landmark_in_the_result(cluttered):
     """Oracle: the log's identities: after the run no false sighting has a label, and every true landmark one."""
-    outcome = run(LandmarkSlam(association=Djnn(management=Counter(admit=3))), log_of(CLUTTERED))
+    outcome = run(LandmarkSlam(association=Djnn(management=Counter(admit=3))), log_of(cluttered))
     known, counts = np.unique(outcome.truth_ids, return_counts=True)
     often = set(known[counts >= 3].tolist()) - {-1}
     given = outcome.labels >= 0
