@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
@@ -153,8 +155,9 @@ def test_random_frames_never_break_a_map():
 
 
 @pytest.mark.slow
-def test_a_million_updates_never_break_a_map():
-    """Oracle: as above."""
-    updates, least = run_of_frames(phd_update, 1_000_000, 54)
-    assert updates >= 1_000_000
-    assert 0.0 < least < np.inf
+def test_very_many_updates_never_break_a_map():
+    """Oracle: as above, 50,000 updates of each of KALMAP_SLOW_SEEDS seeds (default 20: a million)."""
+    for seed in range(int(os.environ.get("KALMAP_SLOW_SEEDS", "20"))):
+        updates, least = run_of_frames(phd_update, 50_000, 54 + seed)
+        assert updates >= 50_000
+        assert 0.0 < least < np.inf
