@@ -8,7 +8,11 @@ PARALLEL ?= -n logical --maxprocesses 8 --dist worksteal
 ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
 PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL)
 
-.PHONY: demo test test-slow test-all lint bench bench-peers clean
+# Short tests whose kernels take longest to compile. Those that `bench` compiles, too, come last.
+WARM := $(patsubst %,tests/test_%.py,assignment association_sums mixture ranking ambiguity landmark_slam_input \
+  mixture_checkpoint contour_late set_checkpoint bernoulli_kernel)
+
+.PHONY: demo test test-slow test-all warm lint bench bench-peers clean
 
 $(VENV)/.ready: pyproject.toml src/kalmap/_version.py
 	@test -d $(VENV) || $(PYTHON) -m venv $(VENV) || { \
@@ -30,6 +34,12 @@ test-slow: $(VENV)/.ready
 # Both in one go, so that no core waits while the last long one ends.
 test-all: $(VENV)/.ready
 	$(PYTEST)
+
+# In a fresh clone, before `test-all`: otherwise each of its processes rewrites all tests' assertions and compiles the
+# kernels that it needs, at the same time as the others.
+warm: $(VENV)/.ready
+	$(ONE_THREAD) $(BIN)/python -m pytest -q --collect-only > /dev/null
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -m "not slow" $(WARM)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check src tests benchmarks

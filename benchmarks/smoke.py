@@ -111,8 +111,8 @@ def checks() -> list[tuple[str, float, float]]:
     step = scaling.step_memory(2003, "cr-cdkf")
     grown = scaling.map_memory(1003, "cr-cdkf")
     paper = djnn_10()
-    sets = phd_1()
     cuts = {len(each): cut_ms(each) for each in (np.deg2rad(np.arange(-90.0, 90.0)), URG.bearings)}
+    sets = phd_1()
     frame = association.measure((300,), 100, 3, ("djnn",))[0]
     return [
         ("DJNN at 300 landmarks, us a frame", frame["median_us"], DJNN_US),
