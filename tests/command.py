@@ -73,7 +73,8 @@ def kalmap_inside(*words: object) -> Answer:
     """The command in this process: everything but a fresh interpreter, for where many calls would each pay for one."""
     from kalmap.cli.main import main
 
-    out, err, code = io.StringIO(), io.StringIO(), 0
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    code = 0
     said = patch.object(sys, "argv", ["kalmap", *map(str, words)])
     alone = patch.dict(os.environ, environment(), clear=True)
     try:
@@ -81,7 +82,7 @@ def kalmap_inside(*words: object) -> Answer:
             main()
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 0
-    return Answer(code, out.getvalue(), err.getvalue())
+    return Answer(code, *(stream.buffer.getvalue().decode() for stream in (out, err)))
 
 
 def kalmap_all_inside(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:

@@ -12,8 +12,8 @@ from command import (
     ODOMETRY,
     SIGHTINGS,
     changed,
-    kalmap,
     kalmap_all_inside,
+    kalmap_inside,
     manifest,
     times,
     write_log,
@@ -150,7 +150,7 @@ def test_a_tolerant_run_passes_every_bad_record_over_and_lists_it(tmp_path):
         seen=NOISE,
     )
     folder = tmp_path / "out"
-    answer = kalmap("run", log, "--tolerant", "--out", folder)
+    answer = kalmap_inside("run", log, "--tolerant", "--out", folder)
     assert (answer.code, answer.err) == (0, "")
     said = manifest(folder)
     rows = [*enumerate(MIXED_ODOMETRY, 2), *enumerate(MIXED_SIGHTINGS, 2)]

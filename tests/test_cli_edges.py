@@ -13,7 +13,6 @@ from command import (
     ODOMETRY,
     SIGHTINGS,
     kalmap,
-    kalmap_all,
     kalmap_all_inside,
     manifest,
     start,
@@ -116,7 +115,7 @@ def test_huge_values_end_in_one_line_and_a_finite_folder(tmp_path):
         "speed": write_log(tmp_path / "speed", [*ODOMETRY[:2], "0.2,1e160,0.02", *ODOMETRY[3:]]),
         "range": write_log(tmp_path / "range", sightings=[*SIGHTINGS[:2], "0.15,1e300,0.31,7"]),
     }
-    answers = kalmap_all(
+    answers = kalmap_all_inside(
         {
             name: ["run", log, "--no-figures", "--quiet", "--out", tmp_path / f"o-{name}"]
             for name, log in logs.items()
@@ -137,7 +136,7 @@ def test_line_ends_and_byte_order_marks_change_nothing(tmp_path):
         log.name: ["run", log, "--no-figures", "-q", "--out", tmp_path / f"o-{log.name}"]
         for log in (plain, marked)
     }
-    assert set(kalmap_all(calls).values()) == {(0, "", "")}
+    assert set(kalmap_all_inside(calls).values()) == {(0, "", "")}
     read = [(tmp_path / f"o-{log.name}" / "trajectory.csv").read_bytes() for log in (plain, marked)]
     assert read[0] == read[1]
 
@@ -157,7 +156,7 @@ def test_all_robots_get_a_folder_each(tmp_path):
     """--robot all: one result a robot; --robot 9 names those that there are."""
     log = robots(tmp_path / "log", 2)
     line = ["run", log, "--no-figures", "--quiet", "--out", tmp_path / "out", "--robot"]
-    answers = kalmap_all({"all": [*line, "all"], "nine": [*line, "9"]})
+    answers = kalmap_all_inside({"all": [*line, "all"], "nine": [*line, "9"]})
     assert answers["all"] == (0, "", "")
     assert [manifest(tmp_path / "out" / f"robot-{k}")["log"][-7:] for k in (1, 2)] == ["robot-1", "robot-2"]
     assert (
@@ -197,7 +196,7 @@ def test_compare_runs_each_method_on_the_same_log(tmp_path):
     """A folder a method, one page, a table on the output; a bad record is one line and code 2."""
     bad = write_log(tmp_path / "bad", sightings=[*SIGHTINGS[:3], "0.25,-1,0.3,7"])
     methods = ["compare", "--methods", "ekf:additive,cr-cdkf"]
-    answers = kalmap_all(
+    answers = kalmap_all_inside(
         {
             "good": [*methods, "course-35", *SHORT, "--out", tmp_path / "out"],
             "bad": [*methods, bad, "--quiet", "--out", tmp_path / "cut"],
@@ -242,7 +241,7 @@ def test_check_tells_good_from_bad_and_unreadable(tmp_path):
     bad = write_log(tmp_path / "bad", sightings=[*SIGHTINGS[:3], "0.25,-1,0.3,7"])
     torn = write_log(tmp_path / "torn")
     (torn / "sightings.csv").write_text("time,range\n0.1,4\n")
-    answers = kalmap_all(
+    answers = kalmap_all_inside(
         {
             "good": ["check", good],
             "world": ["check", "course-35"],

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from command import kalmap_all
+from command import kalmap_all_inside
 from laser_files import drive, flaser, jumped, scan, still, write, write_bag
 
 ZERO = (0.0, 0.0, 0.0)
@@ -24,7 +24,7 @@ def answers(tmp_path_factory):
     cut = write(folder / "cut.log", [flaser([1.0, 2.0], ZERO, 1.0), "FLASER 2 1.0"], end="")
     rubbish = folder / "rubbish.log"
     rubbish.write_bytes(bytes(range(256)))
-    return kalmap_all({
+    return kalmap_all_inside({
         "carmen": ["check", carmen],
         "json": ["check", carmen, "--json"],
         "cut": ["check", cut],

@@ -8,7 +8,7 @@ import json
 import msgspec
 import pytest
 
-from command import kalmap, kalmap_all, manifest
+from command import kalmap_all_inside, kalmap_inside, manifest
 from kalmap.records import FiniteSetConfig
 from kalmap.simulate import simulate, world_by_name
 from kalmap.slam import run, slam_from_config
@@ -56,7 +56,7 @@ def runs(tmp_path_factory):
         name: ["run", "phd-1", *SHORT, "--method", name, "--particles", 3, "--out", folder]
         for name, folder in folders.items()
     }
-    return kalmap_all(calls), folders
+    return kalmap_all_inside(calls), folders
 
 
 def least_known(name: str, feature: float) -> float:
@@ -100,9 +100,9 @@ def test_a_run_leaves_a_whole_result(runs, name):
 
 def test_a_kalman_run_in_the_same_folder_leaves_no_picture_of_a_set(tmp_path):
     line = ["run", "phd-1", *SHORT, "--set", "world.observe_every=160", "--out", tmp_path]
-    assert kalmap(*line, "--method", "pmb", "--particles", 1).code == 0
+    assert kalmap_inside(*line, "--method", "pmb", "--particles", 1).code == 0
     assert (tmp_path / "figures" / "set.png").is_file()
-    assert kalmap(*line, "--method", "ekf").code == 0
+    assert kalmap_inside(*line, "--method", "ekf").code == 0
     assert not any((tmp_path / "figures" / f"{name}.png").exists() for name in ("set", "intensity"))
     config = manifest(tmp_path)["config"]
     assert config["filter"]["name"] == "ekf" and config["finite_set"]["method"] is None
@@ -111,7 +111,7 @@ def test_a_kalman_run_in_the_same_folder_leaves_no_picture_of_a_set(tmp_path):
 def test_a_mixture_begins_with_a_filter_and_associates(tmp_path):
     """It keeps an audit trail and is judged by its association, as filters are."""
     line = ["run", "phd-1", "--set", "world.observe_every=160", "--method", "pmbm", "--particles", 2]
-    answer = kalmap(*line, "--filter", "ekf", "--out", tmp_path)
+    answer = kalmap_inside(*line, "--filter", "ekf", "--out", tmp_path)
     assert (answer.code, answer.err) == (0, "") and "phd-1, pmbm of 2, ekf, invariant: " in answer.out
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["association_accuracy"] > 0.0 and metrics["ospa_m"] > 0.0
@@ -119,7 +119,7 @@ def test_a_mixture_begins_with_a_filter_and_associates(tmp_path):
 
 
 def test_contradictions_are_refused(tmp_path):
-    answers = kalmap_all(
+    answers = kalmap_all_inside(
         {name: ["run", "phd-1", *words, "--out", tmp_path / "x"] for name, (words, _) in REFUSED.items()}
     )
     for name, (_, said) in REFUSED.items():
@@ -130,7 +130,7 @@ def test_contradictions_are_refused(tmp_path):
 def test_compare_sets_both_families_side_by_side(tmp_path):
     methods = "cr-cdkf:jcbb,rb-phd,srckf-phd:motion:single-feature"
     line = ["compare", "phd-1", *SHORT, "--methods", methods, "--particles", 3, "--out", tmp_path]
-    answer = kalmap(*line)
+    answer = kalmap_inside(*line)
     assert (answer.code, answer.err) == (0, "") and "ospa_m" in answer.out and no_nan(tmp_path)
     assert (tmp_path / "figures" / "set.png").is_file()
     config = manifest(tmp_path)["config"]
@@ -149,7 +149,7 @@ def test_compare_sets_both_families_side_by_side(tmp_path):
 
 def test_compare_over_seeds_pairs_both_families(tmp_path):
     line = ["compare", "phd-1", "--set", "world.observe_every=80", "--methods", "cr-cdkf,pmb,rb-phd:motion"]
-    answer = kalmap(*line, "--particles", 2, "--runs", 2, "--workers", 1, "--out", tmp_path)
+    answer = kalmap_inside(*line, "--particles", 2, "--runs", 2, "--workers", 1, "--out", tmp_path)
     assert (answer.code, answer.err) == (0, "") and "ospa_m: mean over the seeds" in answer.out
     with (tmp_path / "runs.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -165,5 +165,5 @@ def test_compare_over_seeds_pairs_both_families(tmp_path):
 
 def test_options_of_sets_need_a_method_of_sets(tmp_path):
     words = ["compare", "phd-1", "--methods", "ekf,cr-cdkf", "--particles", 4, "--out", tmp_path]
-    answer = kalmap(*words)
+    answer = kalmap_inside(*words)
     assert answer.code == 2 and "--particles 4 means nothing to ekf,cr-cdkf" in answer.error

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from command import kalmap, kalmap_all_inside
+from command import kalmap_all_inside, kalmap_inside
 from kalmap.data import write_audit
 from kalmap.data.audit import AUDIT
 from kalmap.records import Managed, Reason
@@ -209,11 +209,11 @@ def test_mergers_and_ends_are_sentences(tmp_path):
     end = (Managed(0, "merged", "jointly compatible", 1), Managed(5, "retired", "not seen for 9 frames"))
     frames = [msgspec.structs.replace(easy(), number=3), decide(4, {}, np.zeros((0, 2)), managed=end)]
     write_audit(tmp_path / AUDIT, frames, {})
-    said = {number: kalmap("why", tmp_path, "--landmark", number).out for number in (0, 1, 5)}
+    said = {number: kalmap_inside("why", tmp_path, "--landmark", number).out for number in (0, 1, 5)}
     assert said[0].startswith("landmark 0: merged into 1 in frame 4; 1 sighting, frames 3 to 3\n")
     assert "frame 4, t = 0.8 s: merged into 1: jointly compatible\n" in said[0]
     assert "frame 4, t = 0.8 s: landmark 0 merged into 1: jointly compatible\n" in said[1]
     assert said[5].startswith("landmark 5: retired in frame 4;")
-    summary = kalmap("why", tmp_path, "--figure", tmp_path / "x.png")
+    summary = kalmap_inside("why", tmp_path, "--figure", tmp_path / "x.png")
     assert summary.code == 2 and "no sighting was decided in doubt" in summary.out
     assert "name one with --frame" in summary.err and not (tmp_path / "x.png").exists()

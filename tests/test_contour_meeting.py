@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from command import kalmap
+from command import kalmap_inside
 from kalmap.data.native_map import read_map_file, write_map
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse
@@ -118,7 +118,7 @@ def test_the_command_joins_files(tmp_path, joint):
     first = save(tmp_path / "a.kalmap", a_map(7, HOME, A, (5.5, 4.0, 0.9), high=7.0))
     second = save(tmp_path / "b.kalmap", a_map(8, HOME, B, (3.0, 6.0, -3.0), low=1.8), joint)
     out = tmp_path / "out"
-    answer = kalmap("join", first, second, "--out", out)
+    answer = kalmap_inside("join", first, second, "--out", out)
     assert answer.code == 0, answer.err
     assert "m of contour lie on each other" in answer.out
     told = json.loads((out / "join.json").read_text())
@@ -136,6 +136,6 @@ def test_the_command_joins_files(tmp_path, joint):
 def test_the_command_refuses_clearly(tmp_path):
     first = save(tmp_path / "a.kalmap", a_map(9, HOME, A, B))
     second = save(tmp_path / "b.kalmap", a_map(10, AWAY, (1.5, 2.0, 0.0), (3.0, 4.0, 1.0)))
-    answer = kalmap("join", first, second, "--out", tmp_path / "out")
+    answer = kalmap_inside("join", first, second, "--out", tmp_path / "out")
     assert answer.code != 0 and "maps" in answer.error
     assert not (tmp_path / "out" / "map.kalmap").exists()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from command import kalmap
+from command import kalmap_inside
 from kalmap.records import ConfigError, Sightings
 from kalmap.simulate import simulate, with_clutter, world_by_name
 
@@ -59,6 +59,6 @@ def test_none_is_none_and_too_many_are_refused():
 def test_from_the_command_line(tmp_path):
     out = tmp_path / "out"
     arguments = ["run", "course-35", "--clutter", "3", "--method", "pmbm", "--set", "world.laps=1"]
-    answer = kalmap(*arguments, "--no-figures", "--quiet", "--out", out)
+    answer = kalmap_inside(*arguments, "--no-figures", "--quiet", "--out", out)
     assert answer.code == 0, answer.err
     assert (out / "manifest.json").read_text().count('"mean": 3.0') == 1

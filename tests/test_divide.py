@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from command import kalmap
+from command import kalmap_inside
 from damage import cuts, refused_cuts
 from kalmap.data.native_map import read_map_file
 from kalmap.gaussian import Jacobian
@@ -238,10 +238,10 @@ def test_a_map_too_large_for_its_joint_covariance_is_written_without_it(course, 
 
 
 def test_the_command_divides(tmp_path):
-    answer = kalmap("run", "course-35", "--divide", "--no-figures", "--out", tmp_path / "out")
+    answer = kalmap_inside("run", "course-35", "--divide", "--no-figures", "--out", tmp_path / "out")
     assert answer.code == 0 and "divided" in answer.out
     assert len(read_map_file(tmp_path / "out" / "map.kalmap").landmark_ids) == 35
-    refused = kalmap("run", "course-35", "--divide", "--method", "rb-phd", "--out", tmp_path / "no")
+    refused = kalmap_inside("run", "course-35", "--divide", "--method", "rb-phd", "--out", tmp_path / "no")
     assert refused.code == 2 and "--divide" in refused.error
 
 

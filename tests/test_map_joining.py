@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from command import kalmap
+from command import kalmap_inside
 from kalmap.data.native_map import read_map_file, write_map
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, inverse
@@ -125,7 +125,7 @@ def test_the_command_joins_writes_and_refuses(halves, tmp_path):
     paths = [tmp_path / "a.kalmap", tmp_path / "b.kalmap"]
     for path, (estimate, _) in zip(paths, halves):
         write_map(path, estimate)
-    answer = kalmap("join", paths[0], paths[1], "--out", tmp_path / "out")
+    answer = kalmap_inside("join", paths[0], paths[1], "--out", tmp_path / "out")
     assert answer.code == 0 and "pairs of landmarks" in answer.out
     report = json.loads((tmp_path / "out" / "join.json").read_text())
     saved = read_map_file(tmp_path / "out" / "map.kalmap")
@@ -133,14 +133,19 @@ def test_the_command_joins_writes_and_refuses(halves, tmp_path):
     assert np.linalg.eigvalsh(saved.covariance()).min() > 0.0
     assert (tmp_path / "out" / "figures" / "join.png").stat().st_size > 10_000
     assert len((tmp_path / "out" / "landmarks.csv").read_text().splitlines()) == report["landmarks"] + 1
-    again = kalmap("join", paths[0], paths[1], "--by-id", "--no-figures", "-q", "--out", tmp_path / "ids")
+    again = kalmap_inside(
+        "join", paths[0], paths[1], "--by-id", "--no-figures", "-q", "--out", tmp_path / "ids"
+    )
     assert again.code == 0 and again.out == ""
     ids = read_map_file(tmp_path / "ids" / "map.kalmap").landmark_ids
     assert sorted(ids) == sorted(np.union1d(*(estimate.landmarks.ids for estimate, _ in halves)))
     write_map(tmp_path / "other.kalmap", _part("same-100", 3, 0.0, 1.0, (0.0, 0.0, 0.0))[0])
-    refused = kalmap("join", paths[0], tmp_path / "other.kalmap", "--out", tmp_path / "no")
+    refused = kalmap_inside("join", paths[0], tmp_path / "other.kalmap", "--out", tmp_path / "no")
     assert refused.code == 2 and "overlap" in refused.error
     assert not (tmp_path / "no" / "map.kalmap").exists()
-    assert "same map" in kalmap("join", paths[0], paths[0], "--out", tmp_path / "no").error
+    assert "same map" in kalmap_inside("join", paths[0], paths[0], "--out", tmp_path / "no").error
     (tmp_path / "bad.kalmap").write_bytes(b"no map")
-    assert "bad.kalmap" in kalmap("join", paths[0], tmp_path / "bad.kalmap", "--out", tmp_path / "no").error
+    assert (
+        "bad.kalmap"
+        in kalmap_inside("join", paths[0], tmp_path / "bad.kalmap", "--out", tmp_path / "no").error
+    )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from command import kalmap
+from command import kalmap_inside
 from kalmap.association import Existence, Keep, Merging, Pmb
 from kalmap.geometry.ellipses import chi_square_2
 from kalmap.models import Increments, RangeBearing
@@ -274,10 +274,10 @@ def test_frames_of_nothing_and_too_much():
 def test_the_command_line_tells_why(tmp_path):
     """Oracle: a run by it leaves an audit trail whose reasons are its own, and a landmark's story."""
     line = ["run", "clutter-2", "--set", "world.observe_every=80", "--association", "pmb", "--out", tmp_path]
-    answer = kalmap(*line)
+    answer = kalmap_inside(*line)
     assert (answer.code, answer.err) == (0, "") and (tmp_path / "association.sqlite").is_file()
-    said = [kalmap("why", tmp_path, *words) for words in (["--landmark", 0], [], ["--frame", 5])]
+    said = [kalmap_inside("why", tmp_path, *words) for words in (["--landmark", 0], [], ["--frame", 5])]
     assert [each.code for each in said] == [0, 0, 0], said
     assert said[0].out.startswith("landmark 0: ") and "hypothes" in said[2].out
-    refused = kalmap("run", "clutter-2", "--association", "pmb", "--set", "association.false_rate=0")
+    refused = kalmap_inside("run", "clutter-2", "--association", "pmb", "--set", "association.false_rate=0")
     assert refused.code == 2 and "false_rate" in refused.error
