@@ -9,8 +9,17 @@ ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONT
 PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL)
 
 # Short tests whose kernels take longest to compile. Those that `bench` compiles, too, come last.
-WARM := $(patsubst %,tests/test_%.py,assignment association_sums mixture ranking ambiguity landmark_slam_input \
-  mixture_checkpoint contour_late set_checkpoint bernoulli_kernel)
+WARM := $(patsubst %,tests/test_%, \
+  assignment.py::test_equals_brute_force \
+  association_sums.py::test_exact_sum_equals_every_matching_written_out \
+  mixture.py::test_reducing_keeps_the_moments_of_the_whole \
+  ranking.py::test_best_associations_are_those_of_brute_force \
+  ambiguity.py::test_a_sighting_between_two_landmarks_is_left_unused \
+  landmark_slam_input.py::test_a_broken_belief_is_an_estimation_error \
+  mixture_checkpoint.py::test_a_resumed_run_is_the_same_bit_for_bit \
+  contour_late.py::test_the_latency_of_a_drive \
+  set_checkpoint.py::test_a_resumed_run_is_the_same_bit_for_bit \
+  bernoulli_kernel.py::test_update_over_all_hypotheses)
 
 .PHONY: demo test test-slow test-all warm lint bench bench-peers clean
 
@@ -39,7 +48,7 @@ test-all: $(VENV)/.ready
 # kernels that it needs, at the same time as the others.
 warm: $(VENV)/.ready
 	$(ONE_THREAD) $(BIN)/python -m pytest -q --collect-only > /dev/null
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -m "not slow" $(WARM)
+	$(ONE_THREAD) $(BIN)/python -m pytest -q $(WARM)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check src tests benchmarks
