@@ -80,7 +80,7 @@ def bernoulli_update(
     log_sum += marginals(odds, pairs, free)
     rows, scratch = np.empty((seen, COLUMNS)), np.empty((sightings + 1, COLUMNS))
     members = np.empty(sightings + 1, np.int64)
-    total = 0
+    total = np.int64(0)  # of a bare 0 numba would compile `reduce` once more, for that constant
     for j in range(seen):
         prior = block[active[j]]
         _after(prior, looks[j], innovations, pairs, free, j, scratch, members, rows[total])

@@ -200,7 +200,7 @@ def straight_runs(sums, linked, price):
     cuts = np.empty(count + 1, dtype=np.int64)
     own = np.empty(count + 1, dtype=np.int64)
     filled = 0
-    a = 0
+    a = np.int64(0)  # of a bare 0 numba would compile `split_runs` once more, for that constant
     while a < count:
         b = a + 1
         while b < count and linked[b - 1]:

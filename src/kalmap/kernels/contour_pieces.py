@@ -207,7 +207,7 @@ def fit_runs(linked, points, rays, along, across, settings, coef, cov, origin, s
     )
     sigma_bend = settings[SIGMA_BEND] if highest > 1 else 0.0
     bend_runs(cuts, points, rays, along, across, rough, sigma_bend, bent, spread, place, plain)
-    k, run = 0, 0
+    k, run = 0, np.int64(0)  # of a bare 0 numba would compile `shape_run` once more, for that constant
     while run < runs:
         a, first = cuts[run], run
         if cuts[run + 1] - a < 2:
