@@ -190,6 +190,6 @@ def test_what_holds_of_the_paper(tmp_path):
     The better proposal and weighting must beat what was published, for either filter.
     """
     seeds = int(os.environ.get("KALMAP_SLOW_SEEDS", "10"))
-    done = reproduce_srckf_phd(tmp_path, runs=seeds)
+    done = reproduce_srckf_phd(tmp_path, runs=seeds, workers=1)
     gains = [c for c in done.claims if "sightings below" in c.claim and "sightings in" not in c.claim]
     assert len(gains) == 12 and all(claim.value < 0.0 for claim in gains)
