@@ -176,7 +176,7 @@ def test_everything_that_is_known_is_saved():
             "_way",
             "_turn",
             "_twist",
-            "_late",
+            "_clock",
             "_changes",
         ),
         *(
@@ -257,7 +257,7 @@ def test_scans_of_every_kind_come_back():
 def saved(events, tmp_path_factory) -> bytes:
     path = tmp_path_factory.mktemp("saved") / "run"
     log = block_log(beams=40)
-    slam = fed(mapper(log, close_distance=2.0, spacing=0.6), events_of(log, 70))
+    slam = fed(mapper(log, close_distance=2.0, spacing=0.6, sigma_latency=0.1), events_of(log, 70))
     assert len(slam._ends) >= 2
     slam.save(path)
     return path.read_bytes()
@@ -285,7 +285,7 @@ def numbers_of(header: dict) -> list[int]:
     for each in loops["maps"]:
         found += [each[name] for name in ("mean", "packed", "normals", "sightings")]
     found += [loops["relations"][0][name] for name in ("pose", "information")]
-    found += [header["late"][name] for name in ("begins", "ends", "ways", "covariances")]
+    found += [header["late"][name] for name in ("begins", "ends", "poses", "ways", "covariances")]
     found += [header["twist"], *(each[name] for each in header["legs"] for name in ("driven", "twists"))]
     for each in (*header["legs"], header["ends"]):
         found += [each["poses"], each["covariances"]]
