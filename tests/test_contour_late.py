@@ -17,10 +17,11 @@ from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, exponential, inverse, logarithm, rotate
 from kalmap.kernels import contour_state as state
 from kalmap.kernels.packed import pack, unpack
-from kalmap.models import Increments
-from kalmap.records import EventError, Odometry, Scan
+from kalmap.models import Increments, Unicycle
+from kalmap.records import ConfigError, ContourConfig, EventError, Odometry, Scan
 from kalmap.slam.contours.late import Clock
 from kalmap.slam.contours.seen import prepare
+from kalmap.slam.contours.slam import ContourSlam
 
 MOTION = Increments()
 NONE = np.zeros((0, 3))
@@ -342,3 +343,9 @@ def test_evened_stamps():
         odd = stamps.copy()
         odd[100] = change
         assert np.array_equal(evened(odd), odd, equal_nan=True)
+
+
+def test_a_latency_asks_for_odometry_of_increments():
+    log = block_log(1)
+    with pytest.raises(ConfigError, match="sigma_latency"):
+        ContourSlam(Unicycle(), log.defaults.sensor, ContourConfig(method="dc-slasem", sigma_latency=0.1))

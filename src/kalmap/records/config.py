@@ -278,8 +278,8 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_bearing_scale: NonNegative = 0.01
     sigma_range_offset: NonNegative = 0.03
     sigma_lever: NonNegative = 0.1
-    sigma_latency: NonNegative = 0.0
-    sigma_stamp: NonNegative = 0.0
+    sigma_latency: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
+    sigma_stamp: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
     clear_range: NonNegative = 5.0
     background: bool = True
 

@@ -76,6 +76,10 @@ class ContourSlam:
         self.coordinates = coordinates
         if self.motion.biases:
             raise ConfigError("motion.biases: mapping from scans estimates no errors of the odometry")
+        if self.settings.sigma_latency and not isinstance(self.motion, Increments):
+            raise ConfigError(
+                "contour.sigma_latency: a latency is estimated with odometry of increments only"
+            )
         if coordinates not in ("invariant", "additive"):
             raise ConfigError(f"filter.coordinates: expected invariant or additive, got {coordinates!r}")
         if not hasattr(self.lineariser, "rule"):
@@ -236,7 +240,10 @@ class ContourSlam:
 
     @property
     def pose(self) -> np.ndarray:
-        """(3,) x m, y m, heading rad, in the newest joined frame; a copy."""
+        """(3,) x m, y m, heading rad, in the newest joined frame; a copy.
+
+        With a latency it is where the vehicle was so long ago, and so are all poses at the stamps of their scans.
+        """
         return self._now()[0].copy()
 
     @property
