@@ -172,6 +172,15 @@ def test_a_jump_of_the_clock_is_handed_on_at_once():
     assert same_pose(way_of(handed_on(untimed, 0.15)[0]), np.array([2.0, 0.0, 0.0]))
 
 
+def test_an_event_without_samples_loses_nothing():
+    """Oracle: the way of the others, and what was still to come comes all the same."""
+    events, times, poses = wild_events(30, 6)
+    empty = odometry(times[20], NONE, [])
+    more = odometry(times[-1] + 1.0, [[0.0, 0.0, 0.0]], [1.0])
+    given, _ = handed_on([*events[:21], empty, *events[21:], more], 0.15)
+    assert same_pose(way_of(given), poses[-1])
+
+
 def test_samples_that_take_no_time_beside_others():
     """Oracle: all of the way, in the end."""
     events = [odometry(0.1 * (k + 1), [[0.1, 0.0, 0.0], [0.05, 0.0, 0.0]], [0.1, 0.0]) for k in range(30)]

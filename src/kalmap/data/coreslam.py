@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from kalmap.data.covered import without_cover
 from kalmap.data.drive import Drive, DriveEvents, cleaned, interpolated
@@ -109,7 +109,8 @@ def evened(stamps: np.ndarray) -> np.ndarray:
         return stamps
     turns = np.arange(len(stamps))
     period = float(np.median(stamps[NEAR_TURNS:] - stamps[:-NEAR_TURNS])) / NEAR_TURNS
-    even = period * turns + median_filter(stamps - period * turns, size=NEAR_TURNS + 1, mode="nearest")
+    late = np.pad(stamps - period * turns, NEAR_TURNS // 2, mode="edge")
+    even = period * turns + np.median(sliding_window_view(late, NEAR_TURNS + 1), axis=1)
     return even if np.abs(even - stamps).max() < FARTHEST_STAMP and (np.diff(even) > 0.0).all() else stamps
 
 

@@ -72,6 +72,11 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True):
     times: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def taken(self) -> np.ndarray:
+        """(n,) s, when the scans were taken, as well as it is known."""
+        return self.stamps if self.times is None else self.times
+
     def rows(self) -> np.ndarray:
         """The rows that become events."""
         kept = np.ones(len(self.stamps), dtype=bool)
@@ -149,7 +154,7 @@ def times_put_right(drive: Drive) -> np.ndarray:
     After a jump of the clock back, or a stamp that lies `SET_BACK` before the one before it, all stamps are moved on by
     the same amount. Rows that become no events keep theirs.
     """
-    times = (drive.stamps if drive.times is None else drive.times).copy()
+    times = drive.taken.copy()
     last, moved, jumped = -np.inf, 0.0, False
     for row, stamp in enumerate(times.tolist()):
         jumped |= row in drive.jumps

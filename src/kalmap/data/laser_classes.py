@@ -119,7 +119,7 @@ def stamps_tell(drive: Drive) -> bool:
     rows = drive.rows()
     steps, _ = steps_of(drive)
     ways = np.hypot(*steps[rows, :2].T)[1:]
-    took = np.diff((drive.stamps if drive.times is None else drive.times)[rows])
+    took = np.diff(drive.taken[rows])
     going = ways[ways > 0.0]
     if not len(going) or (took <= 0.0).mean() > MOST_BACKWARDS:
         return False

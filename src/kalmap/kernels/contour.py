@@ -48,6 +48,25 @@ def _beyond(ranges, beam, r, margin):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_piece(beam, piece_of_beam, coef, origin, scale, limit, x, y, nx, ny, gradient):
+    """Of the pieces under the beam and its neighbours the one nearest to (x, y) that faces the same way, within limit.
+
+    Returns its number, or HIDDEN, and the signed distance from it; writes its gradient (2,).
+    """
+    best, last, found, distance = limit, -1, HIDDEN, 0.0
+    for b in range(max(0, beam - 1), min(len(piece_of_beam), beam + 2)):
+        k = piece_of_beam[b]
+        if k < 0 or k == last:
+            continue
+        last = k
+        value, gx, gy = signed_distance(coef[k], origin[k, 0], origin[k, 1], scale[k], x, y)
+        if abs(value) < best and gx * nx + gy * ny > 0.7:
+            best, found, distance = abs(value), k, value
+            gradient[0], gradient[1] = gx, gy
+    return found, distance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def look(
     pose,
     samples,
@@ -91,17 +110,9 @@ def look(
         beam = _nearest_beam(bearings, math.atan2(ly, lx))
         if beam < 0:
             continue
-        best, last = limit, -1
-        for b in range(max(0, beam - 1), min(len(bearings), beam + 2)):
-            k = piece_of_beam[b]
-            if k < 0 or k == last:
-                continue
-            last = k
-            value, gx, gy = signed_distance(coef[k], origin[k, 0], origin[k, 1], scale[k], x, y)
-            if abs(value) < best and gx * nx + gy * ny > 0.7:
-                best = abs(value)
-                found[i], g[i] = k, value
-                gradient[i, 0], gradient[i, 1] = gx, gy
+        found[i], g[i] = _nearest_piece(
+            beam, piece_of_beam, coef, origin, scale, limit, x, y, nx, ny, gradient[i]
+        )
         if found[i] >= 0:
             count += 1
             continue
@@ -111,6 +122,33 @@ def look(
         elif beyond > 0 and (r < reach or math.isfinite(ranges[beam])):
             found[i] = OPEN
     return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normal_equations(pose, start, prior, samples, sigma, found, g, gradient, normal, right):
+    """Write normal (3, 3) and right (3,) of the next step of `fit_pose`; returns the sum of squared distances, m^2."""
+    normal[:] = prior
+    for i in range(3):
+        right[i] = 0.0
+        for j in range(3):
+            right[i] -= prior[i, j] * (pose[j] - start[j])
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    row, squares = np.empty(3), 0.0
+    for i in range(len(samples)):
+        if found[i] < 0:
+            continue
+        gx, gy = gradient[i, 0], gradient[i, 1]
+        wx, wy = c * gx - s * gy, s * gx + c * gy
+        row[0], row[1] = -wx, -wy
+        row[2] = wx * (samples[i, 1] - pose[1]) - wy * (samples[i, 0] - pose[0])
+        variance = sigma[found[i]] ** 2 + 1e-4
+        weight = 1.0 / (variance * (1.0 + g[i] * g[i] / (9.0 * variance)))
+        squares += g[i] * g[i]
+        for p in range(3):
+            right[p] -= weight * row[p] * g[i]
+            for q in range(3):
+                normal[p, q] += weight * row[p] * row[q]
+    return squares
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -142,7 +180,6 @@ def fit_pose(
     """
     prior, start = information.copy(), pose.copy()
     normal, right = np.empty((3, 3)), np.empty(3)
-    row = np.empty(3)
     matched, squares = 0, 0.0
     for turn in range(rounds):
         limit = max(limits[1], limits[0] * 0.5**turn)
@@ -163,27 +200,7 @@ def fit_pose(
             g,
             gradient,
         )
-        normal[:] = prior
-        for i in range(3):
-            right[i] = 0.0
-            for j in range(3):
-                right[i] -= prior[i, j] * (pose[j] - start[j])
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        squares = 0.0
-        for i in range(len(samples)):
-            if found[i] < 0:
-                continue
-            gx, gy = gradient[i, 0], gradient[i, 1]
-            wx, wy = c * gx - s * gy, s * gx + c * gy
-            row[0], row[1] = -wx, -wy
-            row[2] = wx * (samples[i, 1] - pose[1]) - wy * (samples[i, 0] - pose[0])
-            variance = sigma[found[i]] ** 2 + 1e-4
-            weight = 1.0 / (variance * (1.0 + g[i] * g[i] / (9.0 * variance)))
-            squares += g[i] * g[i]
-            for p in range(3):
-                right[p] -= weight * row[p] * g[i]
-                for q in range(3):
-                    normal[p, q] += weight * row[p] * row[q]
+        squares = _normal_equations(pose, start, prior, samples, sigma, found, g, gradient, normal, right)
         step = np.linalg.solve(normal, right)
         pose[0] += step[0]
         pose[1] += step[1]

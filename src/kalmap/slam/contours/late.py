@@ -138,13 +138,19 @@ class Clock:
     is handed on at once, with all that was still to come.
     """
 
-    def __init__(self, motion: BuiltInMotion, late: Late | None = None) -> None:
+    def __init__(self, motion: BuiltInMotion) -> None:
         self.motion = motion
-        self.late = late or Late()
+        self.late = Late()
 
     def shifted(self, event: Odometry, latency: float) -> tuple[Odometry, np.ndarray, Late]:
-        """The odometry up to the event's stamp less the latency, the latency's effect (3,), and what is known then."""
+        """The odometry up to the event's stamp less the latency, the latency's effect (3,), and what is known then.
+
+        Raises BadSampleError for an event that cannot be used.
+        """
+        check_samples(event)
         late = self.late
+        if not len(event.values):
+            return event, np.zeros(3), late
         if float(event.durations.sum()) < INSTANT or event.time <= late.now:
             return self._at_once(event, latency), np.zeros(3), Late()
         after = late.after(event, self.motion)
@@ -168,7 +174,7 @@ class Clock:
     def _at_once(self, event: Odometry, latency: float) -> Odometry:
         """An event behind all that is known and has not been handed on."""
         late = self.late
-        if not len(late.ends) or latency == 0.0 or not len(event.values):
+        if not len(late.ends) or latency == 0.0:
             return event
         way, covariance, _ = moved(late, late, late.now + latency, latency)
         given = event.covariance

@@ -16,6 +16,7 @@ from kalmap.kernels.layout import BIAS_COUNT, OK
 from kalmap.kernels.packed import pack
 from kalmap.perception.contours import Pieces
 from kalmap.records import Odometry
+from kalmap.slam.contours.belief import squared_distance
 from kalmap.slam.contours.late import check_samples
 from kalmap.slam.contours.seen import Calibration, Rules, Seen
 
@@ -104,7 +105,7 @@ class LiveMap:
     def predict(self, event: Odometry, late: np.ndarray = PUNCTUAL) -> None:
         """Odometry: equations (5) and (6). Raises BadSampleError before anything is changed.
 
-        late: (3,) m, m, rad, how a second more of latency would change the event's way, see `late.shifted`.
+        late: (3,) m, m, rad, how a second more of latency would change the event's way, see `late.moved`.
         """
         check_samples(event)
         before = self.belief.mean[:2].copy()
@@ -113,7 +114,8 @@ class LiveMap:
             effect = np.array([*rotate(belief.mean[2], late[:2]), late[2]])
             self.rules.engine.predict(belief, event)
             belief.flush()
-            state.blame_latency(belief.packed, belief.n, effect)
+            if effect.any():
+                state.blame_latency(belief.packed, belief.n, effect)
             state.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
 
@@ -141,7 +143,7 @@ class LiveMap:
         """
         fitted, found = self.place(seen, pose, prior)
         # beyond that the odometry lies, or the scan is on the wrong samples
-        if _squared(fitted - pose, prior) > FAR:
+        if squared_distance(fitted, pose, prior + SMALL) > FAR:
             near, there = self.place(seen, pose, prior, NEAR_LIMIT)
             if BETTER * _value(there) >= _value(found):
                 fitted, found = near, there
@@ -185,7 +187,11 @@ class LiveMap:
         turned = np.array([*rotate(belief.mean[2], stray[:2]), stray[2]])
         prior = self._since.robot_covariance()[:3, :3] + np.outer(turned, turned)
         fitted, found = self.fit(seen, belief.mean[:3], prior)
-        if _squared(fitted - belief.mean[:3], prior) > FAR:  # wheels slipped, no latency is to blame
+        if (
+            self.rules.contour.sigma_latency
+            and squared_distance(fitted, belief.mean[:3], prior + SMALL) > FAR
+        ):
+            # wheels slipped, no latency is to blame
             belief.flush()
             state.acquit_latency(belief.packed, belief.n)
         self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
@@ -208,8 +214,9 @@ class LiveMap:
         moved[2] = wrap(moved[2])
         innovation = -distances - matrices[:, :3] @ moved
         noise = self._noise(pieces, piece, _turned_back(at, belief.mean[indices[:, None] + np.arange(2)]))
-        late = matrices[:, :3] @ turned
-        noise += np.outer(late, late)
+        if stray.any():
+            late = matrices[:, :3] @ turned
+            noise += np.outer(late, late)
         excess = np.maximum(0.0, (distances / OUTLIER) ** 2 - np.diagonal(noise)) + residuals
         noise[np.diag_indices(len(rows))] += excess
         left, right = belief.work(2 * len(rows))
@@ -278,8 +285,9 @@ class LiveMap:
         belief.flush()
         belief.reserve(belief.n + 2 * count)
         noise = self._noise(pieces, piece, new)
-        late = normal @ stray[:2] + stray[2] * (normal[:, 1] * new[:, 0] - normal[:, 0] * new[:, 1])
-        noise += np.outer(late, late)
+        if stray.any():
+            late = normal @ stray[:2] + stray[2] * (normal[:, 1] * new[:, 0] - normal[:, 0] * new[:, 1])
+            noise += np.outer(late, late)
         effect = np.empty((count, 2))
         state.calibration_effect(new, normal, self.rules.mount, effect)
         belief.n = state.append_samples(belief.mean, belief.packed, belief.n, new, normal, effect, noise)
@@ -294,12 +302,6 @@ class LiveMap:
             self.belief.remove(state.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
         self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
-
-
-def _squared(shift: np.ndarray, covariance: np.ndarray) -> float:
-    """Squared Mahalanobis distance of two poses that differ by `shift` (3,)."""
-    shift[2] = wrap(shift[2])
-    return float(shift @ np.linalg.solve(covariance + SMALL, shift))
 
 
 def _value(found: np.ndarray) -> float:

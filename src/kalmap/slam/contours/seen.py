@@ -14,7 +14,7 @@ from kalmap.kernels.implicit import distance_rows
 from kalmap.models import Increments, RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
-from kalmap.records import ContourConfig, Scan, SensorConfig
+from kalmap.records import ConfigError, ContourConfig, Scan, SensorConfig
 from kalmap.slam.engines import CompiledEngine
 
 
@@ -50,7 +50,6 @@ class Rules(msgspec.Struct, frozen=True):
     """What every local map of a drive works by."""
 
     engine: CompiledEngine
-    motion: BuiltInMotion
     sensor: SensorConfig
     contour: ContourConfig
     cut: CutConfig
@@ -64,7 +63,7 @@ class Rules(msgspec.Struct, frozen=True):
             contour.sigma_range_offset,
             contour.sigma_lever,
             contour.sigma_lever,
-            contour.sigma_latency if isinstance(self.motion, Increments) else 0.0,
+            contour.sigma_latency,
         ]
         return Calibration(np.zeros(5), np.diag(sigmas) ** 2)
 
@@ -82,9 +81,12 @@ def rules_of(
     sensor: SensorConfig,
     contour: ContourConfig,
 ) -> Rules:
-    """The rules by which local maps are made, from the settings of a run."""
+    """The rules by which local maps are made, from the settings of a run. Raises ConfigError for a latency without
+    odometry of increments."""
+    if contour.sigma_latency and not isinstance(motion, Increments):
+        raise ConfigError("contour.sigma_latency: a latency is estimated with odometry of increments only")
     engine = CompiledEngine(motion, RangeBearing(), lineariser, coordinates == "invariant", False)
-    return Rules(engine, motion, sensor, contour, CutConfig())
+    return Rules(engine, sensor, contour, CutConfig())
 
 
 class Seen(msgspec.Struct, frozen=True):

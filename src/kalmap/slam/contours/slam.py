@@ -29,7 +29,7 @@ from kalmap.records import (
 from kalmap.slam.checks import check_odometry, check_scan, check_time, checked_start
 from kalmap.slam.contours.closed import ENOUGH
 from kalmap.slam.contours.held import holding
-from kalmap.slam.contours.late import Clock, Late, check_samples
+from kalmap.slam.contours.late import Clock, Late
 from kalmap.slam.contours.leg import OpenLeg, composed
 from kalmap.slam.contours.live import PUNCTUAL, LiveMap
 from kalmap.slam.contours.loops import FLOOR, Loops
@@ -76,10 +76,6 @@ class ContourSlam:
         self.coordinates = coordinates
         if self.motion.biases:
             raise ConfigError("motion.biases: mapping from scans estimates no errors of the odometry")
-        if self.settings.sigma_latency and not isinstance(self.motion, Increments):
-            raise ConfigError(
-                "contour.sigma_latency: a latency is estimated with odometry of increments only"
-            )
         if coordinates not in ("invariant", "additive"):
             raise ConfigError(f"filter.coordinates: expected invariant or additive, got {coordinates!r}")
         if not hasattr(self.lineariser, "rule"):
@@ -124,7 +120,6 @@ class ContourSlam:
     def _predict(self, event: Odometry) -> None:
         check_odometry(event, self.motion)
         try:
-            check_samples(event)
             if self._timed:
                 self._move(*self._clock.shifted(event, self._latency))
             else:
