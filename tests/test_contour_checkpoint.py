@@ -162,7 +162,7 @@ def test_everything_that_is_known_is_saved():
     }  # the scale is the loops' own
     live = vars(LiveMap(mapper(log).rules)).items()
     held = {name for name, value in live if not isinstance(value, (int, float))}
-    assert held == {"rules", "belief", "_setup", "_since", "normals", "sightings", "open"}
+    assert held == {"rules", "belief", "_setup", "_since", "_last", "normals", "sightings", "open"}
     assert set(vars(mapper(log))) == {
         *("motion", "scanner", "settings", "lineariser", "coordinates", "rules", "sensor", "_start"),
         *(
@@ -331,7 +331,7 @@ def test_headers_that_contradict_themselves_are_refused(saved, tmp_path, change)
     with pytest.raises(LogError) as caught:
         ContourSlam.load(path)
     assert caught.value.file == path
-    assert FORMAT == "kalmap-contours/3"
+    assert FORMAT == "kalmap-contours/4"
 
 
 def test_relations_between_maps_that_are_not_there_are_refused(saved, tmp_path):

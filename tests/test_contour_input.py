@@ -150,8 +150,8 @@ def test_a_robot_that_never_moves_has_a_map_of_what_it_sees(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_along_a_bare_corridor_the_robot_is_as_unsure_as_its_odometry(method):
-    """Independent: the motion model's own variance, 0.1^2 of each increment: along the corridor it grows from end to
-    end, across it stays; the answer says so."""
+    """Independent: the motion model's own variance, 0.1^2 of each increment, and that of its scale: along the corridor
+    it grows from end to end, across it stays; the answer says so."""
     log = corridor()
     outcome = outcome_of(log, method, close_distance=6.0)
     course = outcome.estimate.trajectory
@@ -159,7 +159,7 @@ def test_along_a_bare_corridor_the_robot_is_as_unsure_as_its_odometry(method):
     quarters = along[[len(along) // 8, len(along) // 4, len(along) // 2, -1]]
     assert (np.diff(quarters) > 0.01).all()
     steps = np.diff(course.poses[:, 0])
-    alone = 0.1 * np.sqrt((steps**2).sum())
+    alone = np.hypot(0.1 * np.sqrt((steps**2).sum()), log.defaults.contour.sigma_way_scale * steps.sum())
     assert 0.8 * alone < along[-1] < 3.0 * alone
     counts = outcome.estimate.counts
     assert counts["local_maps"] == (1 if method == "slasem" else 6)

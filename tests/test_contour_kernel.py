@@ -21,6 +21,7 @@ CAL, FIRST = state.CALIBRATION, state.SAMPLES
 COLUMNS = 7  # of a distance: pose, bearing scale and range offset, sample
 MOUNT = np.array([0.2, -0.1, 0.3])
 REACH = 12.0
+REACHES = np.array([REACH, REACH])
 
 
 def scene(rng, *, sigma=0.0, pose=(0.3, -0.2, 0.1), bearings=FULL):
@@ -50,7 +51,7 @@ def seen_by(pose, samples, normals, scan, pieces, piece_of_beam, limit):
     g, gradient = np.zeros(len(samples)), np.zeros((len(samples), 2))
     count = kernel.look(
         pose, samples, normals, MOUNT, scan.bearings, scan.ranges, piece_of_beam, pieces.coef, pieces.origin,
-        pieces.scale, REACH, limit, found, g, gradient,
+        pieces.scale, REACHES, limit, found, g, gradient,
     )  # fmt: skip
     return count, found, g, gradient
 
@@ -121,7 +122,7 @@ def fitted(pose, information, samples, normals, scan, pieces, piece_of_beam):
     found = np.empty(n, dtype=np.int64)
     matched, squares = kernel.fit_pose(
         pose, information, samples, normals, MOUNT, scan.bearings, scan.ranges, piece_of_beam, pieces.coef,
-        pieces.origin, pieces.scale, pieces.sigma, REACH, np.array([0.5, 0.15]), 15, found, np.empty(n),
+        pieces.origin, pieces.scale, pieces.sigma, REACHES, np.array([0.5, 0.15]), 15, found, np.empty(n),
         np.empty((n, 2)),
     )  # fmt: skip
     return matched, squares

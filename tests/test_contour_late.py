@@ -210,7 +210,8 @@ def test_bad_odometry_changes_nothing_with_a_latency(change):
     assert slam.pose_covariance.tobytes() == other.pose_covariance.tobytes()
 
 
-def test_blame_of_the_latency():
+@pytest.mark.parametrize("entry", [state.LATENCY, state.WHEELS, state.WHEELS + 1])
+def test_blame_of_a_number(entry):
     """Oracle: F P F' with dense matrices."""
     rng = np.random.default_rng(5)
     n = state.SAMPLES + 6
@@ -218,9 +219,9 @@ def test_blame_of_the_latency():
     dense, packed = root @ root.T, np.empty(n * (n + 1) // 2)
     pack(dense, n, packed)
     effect = np.array([0.3, -0.2, 0.7])
-    state.blame_latency(packed, n, effect)
+    state.blame(packed, n, entry, effect)
     turned, found = np.eye(n), np.empty((n, n))
-    turned[:3, state.LATENCY] += effect
+    turned[:3, entry] += effect
     unpack(packed, n, found)
     assert np.allclose(found, turned @ dense @ turned.T, rtol=1e-13, atol=1e-13)
 

@@ -251,13 +251,14 @@ def test_upside_down():
 
 
 def test_along_a_bare_corridor_the_covariance_grows():
-    """Oracle: the odometry's noise. Along it, as much as dead reckoning; across, centimetres."""
+    """Oracle: the odometry's noise and its scale's. Along it, as much as dead reckoning; across, centimetres."""
     log = simulate_floor(straight_corridor(), 1)
     drive = Drive(log, rules_for(log), most=250, close=False)
     spread = np.sqrt(np.einsum("tii->ti", drive.covariances))
     assert (np.diff(spread[20:, 0]) > -1e-3).all()
     steps = len(spread) - 1
-    reckoned = log.defaults.motion.sigma_distance_ratio * drive.live.length / math.sqrt(steps)
+    noise = log.defaults.motion.sigma_distance_ratio * drive.live.length / math.sqrt(steps)
+    reckoned = math.hypot(noise, log.defaults.contour.sigma_way_scale * drive.live.length)
     assert 0.5 * reckoned < spread[-1, 0] < 1.5 * reckoned and spread[-1, 1] < 0.3
     assert abs(drive.errors[-1, 1]) < 0.3
 

@@ -17,7 +17,8 @@ from kalmap.records import ContourConfig, FilterConfig, RunConfig, SensorConfig
 
 
 class LaserClass(msgspec.Struct, frozen=True):
-    """A kind of scanner. max_range: m, to which it is of use; the rest as in `SensorConfig`."""
+    """A kind of scanner. max_range: m, to which it is of use; clear_range: as in `ContourConfig`; the rest as in
+    `SensorConfig`."""
 
     name: str
     min_range: float
@@ -26,6 +27,7 @@ class LaserClass(msgspec.Struct, frozen=True):
     sigma_range_ratio: float
     sigma_bearing_deg: float
     beam_time: float = 0.0
+    clear_range: float = 5.0
 
 
 SICK = LaserClass(
@@ -46,8 +48,9 @@ URG = LaserClass(
     sigma_range_ratio=0.01,
     sigma_bearing_deg=0.2,
     beam_time=0.1 / 1024.0,
+    clear_range=4.0,
 )
-"""Phase shift, 240 degrees (URG-04LX: rated 4 m, accuracy 1 cm or 1 %; returns up to 5.6 m)."""
+"""Phase shift, 240 degrees (URG-04LX: rated 4 m, accuracy 1 cm or 1 %; returns up to 5.6 m, by no means all)."""
 
 SIGMA_LATENCY = 0.1
 """s, between the clocks of a scanner and of wheels that are read by different drivers."""
@@ -107,6 +110,7 @@ def laser_defaults(drive: Drive, stated: float = np.inf, sigma_stamp: float = SI
             method="dc-slasem",
             sigma_latency=SIGMA_LATENCY if timed else 0.0,
             sigma_stamp=sigma_stamp if timed else 0.0,
+            clear_range=kind.clear_range,
         ),
     )
 

@@ -88,8 +88,8 @@ def look(
 
     samples, normals: (N, 2) in the map. mount: (3,) the scanner on the robot. bearings: (B,) ascending, in the
     scanner's frame; ranges: (B,), +inf where nothing came back; piece_of_beam: (B,) or -1; coef (K, 10), origin (K, 2),
-    scale (K,): the pieces' curves in the robot's frame. reach: m, beyond which the scanner's silence says nothing.
-    limit: m, greatest distance from a curve. Writes for every sample: found (N,) its piece, or HIDDEN, OPEN, ASIDE;
+    scale (K,): the pieces' curves in the robot's frame. reach: (2,) m, how far the scanner sees, and up to where its
+    silence says that nothing is there. limit: m, greatest distance from a curve. Writes for every sample: found (N,) its piece, or HIDDEN, OPEN, ASIDE;
     g (N,) m its signed distance; gradient (N, 2) of the distance in the robot's frame. Returns how many were found.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -102,7 +102,7 @@ def look(
         lx, ly = x - mount[0], y - mount[1]
         lx, ly = cm * lx + sm * ly, -sm * lx + cm * ly
         r = math.hypot(lx, ly)
-        if r < 1e-3 or r > reach + limit:
+        if r < 1e-3 or r > reach[0] + limit:
             continue
         nx, ny = c * normals[i, 0] + s * normals[i, 1], -s * normals[i, 0] + c * normals[i, 1]
         if nx * (mount[0] - x) + ny * (mount[1] - y) < 0.05 * r:
@@ -119,7 +119,7 @@ def look(
         beyond = _beyond(ranges, beam, r, limit)
         if beyond == 0:
             found[i] = ASIDE
-        elif beyond > 0 and (r < reach or math.isfinite(ranges[beam])):
+        elif beyond > 0 and (r < reach[1] or math.isfinite(ranges[beam])):
             found[i] = OPEN
     return count
 

@@ -1,7 +1,7 @@
 """The state of a sampled environment map: its layout, and what is done to it as a whole.
 
-In order: pose (3), the scanner's calibration (2), the lever of the odometry's point (2), the latency of scans, then two
-numbers a sample. The update is that of several hundred scalars as one block (equations (9) to (11) of Sun et al. 2010).
+In order: pose (3), the scanner's calibration (2), the lever of the odometry's point (2), the latency of scans, the
+wheels' scales (2), then two numbers a sample. The update is that of several hundred scalars as one block (equations (9) to (11) of Sun et al. 2010).
 """
 
 import math
@@ -17,7 +17,8 @@ from kalmap.kernels.update import apply_rows, gather_rows
 CALIBRATION = 3  # where the scanner's calibration stands in the state: bearing scale, range offset
 LEVER = 5  # x, y m of the point that the odometry speaks of, in the vehicle's frame
 LATENCY = 7  # s by which a scan is stamped later than it was taken
-SAMPLES = 8  # where the samples begin
+WHEELS = 8  # by which share odometry's ways, and its turns, are too short
+SAMPLES = 10  # where the samples begin
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -45,21 +46,24 @@ def shift_point(mean, packed, n, sign):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blame_latency(packed, n, effect):
-    """Give the pose the share of the latency's error that has just moved it: effect (3,) m, m, rad a second. O(n)."""
+def blame(packed, n, entry, effect):
+    """Give the pose the share of a number's error that has just moved it: effect (3,) m, m, rad a unit of it. O(n).
+
+    entry: of the number, one of those between the pose and the samples.
+    """
     block = np.empty((SAMPLES, SAMPLES))
     unpack(packed, SAMPLES, block)
     for k in range(3):
-        block[k] += effect[k] * block[LATENCY]
+        block[k] += effect[k] * block[entry]
     for i in range(SAMPLES):
-        late = block[i, LATENCY]
+        own = block[i, entry]
         for k in range(3):
-            block[i, k] += effect[k] * late
+            block[i, k] += effect[k] * own
     pack(block, SAMPLES, packed)
     for i in range(SAMPLES, n):
         row = packed[i * (i + 1) // 2 :]
         for k in range(3):
-            row[k] += effect[k] * row[LATENCY]
+            row[k] += effect[k] * row[entry]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -259,10 +259,13 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     sigma_bearing_scale, sigma_range_offset: share and m, how far the scanner's angles and ranges may be off as a whole,
         which the map estimates; 0: they are right.
     sigma_lever: m, on either axis, how far the point that the odometry speaks of may be from where the log has it.
+    sigma_way_scale, sigma_turn_scale: share, by how much the wheels' ways and turns may be too long or too short as a
+        whole, which the map estimates; odometry of increments only.
     sigma_latency: s, how much later or earlier than it was taken a scan may be stamped; estimated as well. Odometry of
         increments only, with stamps that tell how fast the vehicle goes; readers of laser logs look whether they do.
     sigma_stamp: s, by how much each stamp is off by chance, beside that.
-    clear_range: m, how far the way of a beam that brought nothing back counts as free in the occupancy grid.
+    clear_range: m, how far the way of a beam that brought nothing back counts as free, for samples that would stand in
+        it and in the occupancy grid.
     background: closed maps are joined in a thread of low priority that the live filter does not wait for; the answer in
         the end is the same, only the pose on the way may come by a join later.
     """
@@ -275,9 +278,11 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     spacing: Positive = 0.3
     sigma_offset: NonNegative = 0.01
     sigma_askew_deg: NonNegative = 0.3
-    sigma_bearing_scale: NonNegative = 0.01
+    sigma_bearing_scale: NonNegative = 0.003
     sigma_range_offset: NonNegative = 0.03
     sigma_lever: NonNegative = 0.1
+    sigma_way_scale: Annotated[float, msgspec.Meta(ge=0, le=0.3)] = 0.01
+    sigma_turn_scale: Annotated[float, msgspec.Meta(ge=0, le=0.3)] = 0.03
     sigma_latency: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
     sigma_stamp: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
     clear_range: NonNegative = 5.0

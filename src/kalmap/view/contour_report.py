@@ -15,6 +15,8 @@ Card = tuple[str, str, str, str]
 
 LEAST_LATENCY = 0.03
 """s, worth telling."""
+LEAST_SCALE = 0.03
+"""Share of the odometry's ways or turns, worth telling."""
 LEAST_ON_CONTOURS = 0.75
 """Of the ranges. A piece of contour needs four; if more than every fourth range is on none, the usual four are torn."""
 
@@ -56,8 +58,9 @@ def relation_cards(metrics: Mapping[str, Any]) -> Iterator[Card]:
 
 
 def contour_warnings(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """What must be known of a map of contours: scans that hold the vehicle badly, or not at all, or come late."""
-    return (*_torn(metrics), *_loose(metrics), *_late(metrics))
+    """What must be known of a map of contours: scans that hold the vehicle badly, or not at all, or come late,
+    and wheels that measure wrong."""
+    return (*_torn(metrics), *_loose(metrics), *_late(metrics), *_off_scale(metrics))
 
 
 def _torn(metrics: Mapping[str, Any]) -> Iterator[str]:
@@ -94,6 +97,18 @@ def _late(metrics: Mapping[str, Any]) -> Iterator[str]:
         f"The scans are stamped {1e3 * abs(latency):.0f} ms {late} than they were taken, by the odometry's clock "
         f"(standard deviation {1e3 * sigma:.0f} ms): the vehicle is told where it was then."
     )
+
+
+def _off_scale(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Odometry whose ways or turns are too long or too short as a whole."""
+    for name, what in (("way_scale", "ways"), ("turn_scale", "turns")):
+        scale, sigma = metrics.get(name), metrics.get(f"{name}_sigma")
+        if scale is None or sigma is None or abs(scale) < max(LEAST_SCALE, 3.0 * sigma):
+            continue
+        yield (
+            f"The odometry's {what} are too {'short' if scale > 0 else 'long'} by {number(100.0 * abs(scale))} % "
+            f"(standard deviation {number(100.0 * sigma)} %): the map takes that into account."
+        )
 
 
 def contour_section(contours: Contours) -> str:

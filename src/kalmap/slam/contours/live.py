@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 
 from kalmap.gaussian import Belief, NotPositiveError
@@ -19,6 +21,7 @@ from kalmap.records import Odometry
 from kalmap.slam.contours.belief import squared_distance
 from kalmap.slam.contours.late import check_samples
 from kalmap.slam.contours.seen import Calibration, Rules, Seen
+from kalmap.slam.contours.wheels import moved_by_scales
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
 FIRST_LIMIT, LAST_LIMIT = (
@@ -33,10 +36,8 @@ SMALL = np.diag([1e-6, 1e-6, 1e-7])  # what no odometry is better than
 FORGET = 0.05  # a scan's part in what is the rule
 LEAST_IN_VIEW = 10  # samples
 BETTER = 1.5  # how many times better another place must be
-SURE_SHARE, SURE_FOUND = (
-    0.7,
-    25,
-)  # of the samples in view, and how many, that it must find: people stand about, too
+SURE_FOUND = 25  # samples that it must find: people stand about, too
+SLIPPED_SHARE, JUMPED_SHARE = 0.7, 0.8  # of those in view: of the usual share for a slip, of all for a jump
 SLIP = np.array([0.3, 0.3, 0.3])  # m, m, rad, of wheels; beyond it the odometry must have jumped
 SLIPPED, JUMPED = 1.3, 2.0  # how many times larger the share must be there
 TURNS = np.radians(5.0) * np.array([side * step for step in range(1, 17) for side in (1, -1)])
@@ -44,6 +45,8 @@ ASTRAY = np.diag([0.5**2, 0.5**2, 0.1**2])
 SAGITTA = 0.01  # m, how far a contour may bend away from the line between two samples
 PUNCTUAL = np.zeros(3)  # no latency can change the way
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
+LEARN, LEARN_FULL = 0.05, 20  # a scan's part in the noise's factor, and from how many distances on
+MOST_NIS, MOST_FACTOR = 4.0, 25.0  # of one scan, a distance; of the noise
 
 
 class LiveMap:
@@ -51,19 +54,22 @@ class LiveMap:
 
     normals: (N, 2) of the samples, towards the free side. sightings, open: (N,) scans that corrected each, and scans in
     a row that looked through it. length: m driven. scans: used. usual: share of the samples in
-    view that scans find as a rule. nis, used: of the last scan.
+    view that scans find as a rule. noise: by how much the variance of the scans' distances is more than their fits say,
+    as their innovations have shown. nis, used: of the last scan.
     """
 
-    def __init__(self, rules: Rules, calibration: Calibration | None = None) -> None:
+    def __init__(self, rules: Rules, calibration: Calibration | None = None, noise: float = 1.0) -> None:
         self.rules = rules
         self.belief = _begun(np.zeros(3), calibration or rules.calibration)
         self._setup = rules.engine.setup.copy()
         self._setup[BIAS_COUNT] = state.SAMPLES - 3  # the calibration is not turned with the map
         self._since = _begun(np.zeros(3), self.calibration)
+        self._last = np.zeros(3)  # the pose after the last scan that was used
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
         self.length, self.scans, self.usual = 0.0, 0, 1.0
+        self.noise = noise
         self.nis, self.used = float("nan"), 0
 
     @property
@@ -71,6 +77,11 @@ class LiveMap:
         """What is known of the scanner now."""
         entries = np.arange(state.CALIBRATION, state.SAMPLES)
         return Calibration(self.belief.mean[entries], self.belief.block(entries))
+
+    @property
+    def scales(self) -> np.ndarray:
+        """(3,) by which odometry's increments (forward, left, turn) are multiplied."""
+        return 1.0 + self.belief.mean[[state.WHEELS, state.WHEELS, state.WHEELS + 1]]
 
     @property
     def count(self) -> int:
@@ -108,6 +119,8 @@ class LiveMap:
         late: (3,) m, m, rad, how a second more of latency would change the event's way, see `late.moved`.
         """
         check_samples(event)
+        if self.rules.wheels.any():
+            event = msgspec.structs.replace(event, values=event.values * self.scales)
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
             state.shift_point(belief.mean, belief.packed, belief.n, 1.0)
@@ -115,7 +128,7 @@ class LiveMap:
             self.rules.engine.predict(belief, event)
             belief.flush()
             if effect.any():
-                state.blame_latency(belief.packed, belief.n, effect)
+                state.blame(belief.packed, belief.n, state.LATENCY, effect)
             state.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
 
@@ -132,6 +145,7 @@ class LiveMap:
         if len(seen.pieces):
             self._found(seen, stray)
         self._since = _begun(self.belief.mean[:3], self.calibration)
+        self._last = self.belief.mean[:3].copy()
         self._retire()
 
     def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,11 +169,16 @@ class LiveMap:
             start = np.array([pose[0], pose[1], pose[2] + turn])
             other, there = self.place(seen, start, ASTRAY)
             value, share = _value(there), _share(there)
-            if value <= best or share < SURE_SHARE or (there >= 0).sum() < SURE_FOUND:
+            if value <= best or (there >= 0).sum() < SURE_FOUND:
                 continue
             move = other - first
             move[2] = wrap(move[2])
-            if share >= (SLIPPED if (np.abs(move) < SLIP).all() else JUMPED) * before:
+            slipped = bool((np.abs(move) < SLIP).all())
+            if slipped:
+                least = max(SLIPPED_SHARE * self.usual, SLIPPED * before)
+            else:
+                least = max(JUMPED_SHARE, JUMPED * before)
+            if share >= least:
                 best, fitted, found = value, other, there
         return fitted, found
 
@@ -175,7 +194,7 @@ class LiveMap:
         first = min(FIRST_LIMIT, limit + (stray if limit == LAST_LIMIT else 0.0))
         kernel.fit_pose(
             fitted, information, self.samples, self.normals, self.rules.mount, seen.bearings, seen.ranges,
-            seen.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, seen.sigma, self.rules.sensor.max_range,
+            seen.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, seen.sigma, self.rules.reach,
             np.array([first, limit]), ROUNDS, found, distances, np.empty((self.count, 2)),
         )  # fmt: skip
         fitted[2] = wrap(fitted[2])
@@ -186,21 +205,23 @@ class LiveMap:
         belief, pieces = self.belief, seen.pieces
         turned = np.array([*rotate(belief.mean[2], stray[:2]), stray[2]])
         prior = self._since.robot_covariance()[:3, :3] + np.outer(turned, turned)
+        wheels = self._of_wheels(belief.mean[:3])
+        prior += sum(np.outer(row, row) * belief.variances()[k] for k, row in wheels)
         fitted, found = self.fit(seen, belief.mean[:3], prior)
-        if (
-            self.rules.contour.sigma_latency
-            and squared_distance(fitted, belief.mean[:3], prior + SMALL) > FAR
-        ):
-            # wheels slipped, no latency is to blame
-            belief.flush()
-            state.acquit_latency(belief.packed, belief.n)
+        belief.flush()
+        if squared_distance(fitted, belief.mean[:3], prior + SMALL) > FAR:
+            # wheels slipped: neither a latency is to blame nor a scale
+            if self.rules.contour.sigma_latency:
+                state.acquit_latency(belief.packed, belief.n)
+        else:
+            for k, row in self._of_wheels(fitted):
+                state.blame(belief.packed, belief.n, k, row)
         self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
         self.usual += FORGET * (_share(found) - self.usual)
         rows = np.flatnonzero(found >= 0)
         if not len(rows):
             return
         indices, piece = state.SAMPLES + 2 * rows, found[rows]
-        belief.flush()
         at = belief.mean.copy()  # the derivatives are taken where the scan fits best
         at[:3] = fitted
         matrices, distances = np.empty((len(rows), 7)), np.empty(len(rows))
@@ -214,6 +235,7 @@ class LiveMap:
         moved[2] = wrap(moved[2])
         innovation = -distances - matrices[:, :3] @ moved
         noise = self._noise(pieces, piece, _turned_back(at, belief.mean[indices[:, None] + np.arange(2)]))
+        noise *= self.noise
         if stray.any():
             late = matrices[:, :3] @ turned
             noise += np.outer(late, late)
@@ -236,25 +258,43 @@ class LiveMap:
         if status != OK:
             raise NotPositiveError("the covariance of a local map is not positive definite")
         self.used = len(rows)
+        self._learn()
         self.sightings[rows] += 1
 
+    def _of_wheels(self, pose: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Entries of the wheels' scales, and by what (3,) a unit of each has moved the vehicle since the last scan."""
+        if self.rules.wheels.any():
+            yield from enumerate(moved_by_scales(self.scales, self._last, pose), start=state.WHEELS)
+
+    def _learn(self) -> None:
+        """Take the scans for noisier where their distances lie farther off than they should, and the other way round:
+        much of what stands in rooms is no smooth wall. Never for better than their fits say."""
+        surplus = min(self.nis / self.used, MOST_NIS) - 1.0
+        factor = self.noise * (1.0 + LEARN * min(1.0, self.used / LEARN_FULL) * surplus)
+        self.noise = min(MOST_FACTOR, max(1.0, factor))
+
     def _face(self, rows: np.ndarray, at: np.ndarray, indices: np.ndarray, matrices: np.ndarray) -> None:
-        """Take the distances' derivatives along the normals as all scans so far have shown them, not this one alone.
+        """Take the distances' derivatives along the normals that the scans before have shown, not as this one has them.
 
         The noise of one scan's normal stands in the derivative as if it were known: squared, it seems to hold the
-        vehicle along its walls (Fuller 1987, Measurement Error Models, section 1.1). Normals of many scans err less,
-        and the same way every time. What the distances say of the scanner's calibration is left as this scan has it.
+        vehicle along its walls (Fuller 1987, Measurement Error Models, section 1.1); and it is the noise of the
+        distance, too, with which it must have nothing to do. Normals of many scans err less, and alike every time.
         """
         seen, weight = matrices[:, 5:7], self.sightings[rows, None]
         steep = np.hypot(*seen.T)[:, None]
-        mean = weight * self.normals[rows] + seen / steep
-        mean /= np.hypot(*mean.T)[:, None]
-        self.normals[rows] = mean
-        change = steep * mean - seen
+        before = self.normals[rows]
+        mean = weight * before + seen / steep
+        self.normals[rows] = mean / np.hypot(*mean.T)[:, None]
+        change = steep * before - seen
         away = at[indices[:, None] + np.arange(2)] - at[:2]
         matrices[:, 5:7] += change
         matrices[:, :2] -= change
         matrices[:, 2] += change[:, 0] * away[:, 1] - change[:, 1] * away[:, 0]
+        effect = np.empty((len(rows), 2))
+        state.calibration_effect(
+            rotate(-at[2], away), rotate(-at[2], steep * before), self.rules.mount, effect
+        )
+        matrices[:, 3:5] = -effect
 
     def _noise(self, pieces: Pieces, piece: np.ndarray, points: np.ndarray) -> np.ndarray:
         """(M, M) m^2, covariance of the distances of `points` (M, 2), in the robot's frame, from their curves.

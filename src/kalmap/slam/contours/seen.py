@@ -19,12 +19,13 @@ from kalmap.slam.engines import CompiledEngine
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """What is known of the vehicle: mean (5,) and covariance (5, 5) of bearing scale, range offset m, lever x, y m and
-    latency s.
+    """What is known of the vehicle: mean (7,) and covariance (7, 7) of bearing scale, range offset m, lever x, y m,
+    latency s and the scales of the wheels' ways and turns.
 
     A bearing b truly is (1 + scale) b, a range r truly is r + offset. The lever is where the point that the odometry
     speaks of is in the vehicle's frame, to which the scanner is fixed as its settings say. The latency is how much
-    later than it was taken, by the odometry's clock, a scan is stamped.
+    later than it was taken, by the odometry's clock, a scan is stamped. A way or a turn that odometry tells truly is
+    (1 + scale) times as long.
     """
 
     mean: np.ndarray
@@ -47,12 +48,14 @@ def later(calibration: Calibration) -> Calibration:
 
 
 class Rules(msgspec.Struct, frozen=True):
-    """What every local map of a drive works by."""
+    """What every local map of a drive works by. wheels: (2,) standard deviations of the scales of odometry's ways and
+    turns."""
 
     engine: CompiledEngine
     sensor: SensorConfig
     contour: ContourConfig
     cut: CutConfig
+    wheels: np.ndarray
 
     @property
     def calibration(self) -> Calibration:
@@ -64,8 +67,14 @@ class Rules(msgspec.Struct, frozen=True):
             contour.sigma_lever,
             contour.sigma_lever,
             contour.sigma_latency,
+            *self.wheels,
         ]
-        return Calibration(np.zeros(5), np.diag(sigmas) ** 2)
+        return Calibration(np.zeros(7), np.diag(sigmas) ** 2)
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(2,) m, how far the scanner sees, and up to where its silence says that nothing is there."""
+        return np.array([self.sensor.max_range, min(self.sensor.max_range, self.contour.clear_range)])
 
     @property
     def mount(self) -> np.ndarray:
@@ -86,7 +95,8 @@ def rules_of(
     if contour.sigma_latency and not isinstance(motion, Increments):
         raise ConfigError("contour.sigma_latency: a latency is estimated with odometry of increments only")
     engine = CompiledEngine(motion, RangeBearing(), lineariser, coordinates == "invariant", False)
-    return Rules(engine, sensor, contour, CutConfig())
+    wheels = np.array([contour.sigma_way_scale, contour.sigma_turn_scale]) * isinstance(motion, Increments)
+    return Rules(engine, sensor, contour, CutConfig(), wheels)
 
 
 class Seen(msgspec.Struct, frozen=True):

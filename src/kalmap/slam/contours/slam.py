@@ -173,7 +173,8 @@ class ContourSlam:
         if further is not None:
             self._move(*further)
         late = self._clock.late
-        self._twist = late.twist(late.told - self._latency, self.scanner.beam_time * len(scan.ranges))
+        twist = late.twist(late.told - self._latency, self.scanner.beam_time * len(scan.ranges))
+        self._twist = twist * self._live.scales
 
     def _use(self, scan: Scan) -> None:
         """Correct the local map by a scan."""
@@ -204,7 +205,7 @@ class ContourSlam:
         live = self._live
         self._worker.close(live, self._leg.leg())
         self._ends.append((live.pose, live.pose_covariance))
-        self._live, self._leg = LiveMap(self.rules, later(live.calibration)), OpenLeg()
+        self._live, self._leg = LiveMap(self.rules, later(live.calibration), live.noise), OpenLeg()
         seen = prepare(scan, self.rules, live.calibration.mean, self._twist)
         self._live.observe(seen, self.settings.sigma_stamp * self._twist)
 
@@ -315,6 +316,11 @@ class ContourSlam:
             "lever_x_sigma_m": float(deviations[2]),
             "lever_y_m": float(calibration.mean[3]),
             "lever_y_sigma_m": float(deviations[3]),
+            "way_scale": float(calibration.mean[5]),
+            "way_scale_sigma": float(deviations[5]),
+            "turn_scale": float(calibration.mean[6]),
+            "turn_scale_sigma": float(deviations[6]),
+            "scan_noise_factor": self._live.noise,
             "latency_s": float(calibration.mean[4]),
             "latency_sigma_s": latency,
         }

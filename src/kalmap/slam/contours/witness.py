@@ -50,7 +50,7 @@ class Witness:
             pieces = view.pieces
             kernel.look(
                 compose(pose, place), samples, normals, self._rules.mount, view.bearings, view.ranges,
-                view.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, self._rules.sensor.max_range, LIMIT,
+                view.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, self._rules.reach, LIMIT,
                 found, np.empty(len(rows)), np.empty((len(rows), 2)),
             )  # fmt: skip
             seen += int((found >= 0).sum())

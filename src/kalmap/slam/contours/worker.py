@@ -16,7 +16,8 @@ from kalmap.slam.in_order import InOrder
 LEAST_FOUND = 10  # samples that a scan must find to be laid on a map once more
 STRAY = np.diag(
     [0.03**2, 0.03**2, np.radians(1.0) ** 2]
-)  # how far a scan may be from where the filter had it
+)  # how far a scan may be from where the filter had it, or less where that was surer
+LEAST_STRAY = 0.01 * STRAY
 
 
 class Joined(msgspec.Struct):
@@ -69,8 +70,10 @@ def relaid(live: LiveMap, leg: Leg) -> Leg:
         return leg
     poses = leg.poses.copy()
     calibration = live.calibration.mean
+    stray = np.linalg.inv(STRAY)
     for row, scan in enumerate(leg.scans):
-        pose, found = live.place(prepare(scan, live.rules, calibration, leg.twists[row]), poses[row], STRAY)
+        prior = np.linalg.inv(stray + np.linalg.inv(leg.covariances[row] + LEAST_STRAY))
+        pose, found = live.place(prepare(scan, live.rules, calibration, leg.twists[row]), poses[row], prior)
         if (found >= 0).sum() >= LEAST_FOUND:
             poses[row] = pose
     return msgspec.structs.replace(leg, poses=poses)
