@@ -89,8 +89,9 @@ def look(
     samples, normals: (N, 2) in the map. mount: (3,) the scanner on the robot. bearings: (B,) ascending, in the
     scanner's frame; ranges: (B,), +inf where nothing came back; piece_of_beam: (B,) or -1; coef (K, 10), origin (K, 2),
     scale (K,): the pieces' curves in the robot's frame. reach: (2,) m, how far the scanner sees, and up to where its
-    silence says that nothing is there. limit: m, greatest distance from a curve. Writes for every sample: found (N,) its piece, or HIDDEN, OPEN, ASIDE;
-    g (N,) m its signed distance; gradient (N, 2) of the distance in the robot's frame. Returns how many were found.
+    silence says that nothing is there. limit: m, greatest distance from a curve. Writes for every sample: found (N,)
+    its piece, or HIDDEN, OPEN, ASIDE; g (N,) m its signed distance; gradient (N, 2) of the distance in the robot's
+    frame. Returns how many were found.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     cm, sm = math.cos(mount[2]), math.sin(mount[2])
@@ -176,6 +177,7 @@ def fit_pose(
 
     information: (3, 3), in the map's axes, of the pose that was handed in: the prior; on return that of the fit.
     limits: (2,) m, the greatest distance from a curve in the first and in the last round. sigma: (K,) m of the pieces.
+    reach: see `look`.
     Gauss-Newton on the signed distances with Cauchy's weights; found, g and gradient are those of the last round.
     """
     prior, start = information.copy(), pose.copy()

@@ -1,7 +1,8 @@
 """The state of a sampled environment map: its layout, and what is done to it as a whole.
 
 In order: pose (3), the scanner's calibration (2), the lever of the odometry's point (2), the latency of scans, the
-wheels' scales (2), then two numbers a sample. The update is that of several hundred scalars as one block (equations (9) to (11) of Sun et al. 2010).
+wheels' scales (2), then two numbers a sample. The update is that of several hundred scalars as one block (equations (9)
+to (11) of Sun et al. 2010).
 """
 
 import math

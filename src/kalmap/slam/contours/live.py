@@ -205,8 +205,8 @@ class LiveMap:
         belief, pieces = self.belief, seen.pieces
         turned = np.array([*rotate(belief.mean[2], stray[:2]), stray[2]])
         prior = self._since.robot_covariance()[:3, :3] + np.outer(turned, turned)
-        wheels = self._of_wheels(belief.mean[:3])
-        prior += sum(np.outer(row, row) * belief.variances()[k] for k, row in wheels)
+        for k, row in self._of_wheels(belief.mean[:3]):
+            prior += belief.variances()[k] * np.outer(row, row)
         fitted, found = self.fit(seen, belief.mean[:3], prior)
         belief.flush()
         if squared_distance(fitted, belief.mean[:3], prior + SMALL) > FAR:
