@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from command import kalmap_all_inside, write_log
+from kalmap.cli.settings import parse_pairs
 
 C = "course-35"
 
@@ -88,6 +89,24 @@ def answers(place):
         name: [*words, *(["--out", place / "new"] * (words[0] != "check"))] for name, words in calls.items()
     }
     return kalmap_all_inside(calls | {name: ["run", C, "--out", place / name] for name in FOLDERS})
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        (".5", 0.5),
+        ("5.", 5.0),
+        ("+2e-3", 0.002),
+        ("0.5", 0.5),
+        ("7", 7),
+        ("true", True),
+        ("1.2.3", "1.2.3"),
+        (".", "."),
+    ],
+)
+def test_numbers_as_people_write_them(text, value):
+    parsed = parse_pairs((f"sensor.x={text}",))["sensor"]["x"]
+    assert parsed == value and type(parsed) is type(value)
 
 
 @pytest.mark.parametrize("name", FILES)

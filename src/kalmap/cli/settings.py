@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, get_args
@@ -43,8 +44,11 @@ def read_config(path: Path) -> Settings:
     return loaded
 
 
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
 def parse_pairs(pairs: tuple[str, ...]) -> Settings:
-    """`key.sub=value` texts as a nested dictionary; values are JSON, or text where they are no JSON."""
+    """`key.sub=value` texts as a nested dictionary; values are JSON, numbers as people write them (`.5`), or text."""
     settings: Settings = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")
@@ -53,7 +57,7 @@ def parse_pairs(pairs: tuple[str, ...]) -> Settings:
         try:
             value = json.loads(text)
         except (ValueError, RecursionError):
-            value = text
+            value = float(text) if _NUMBER.fullmatch(text.strip()) else text
         *path, last = key.strip().split(".")
         place = settings
         for step in path:
