@@ -114,7 +114,7 @@ class Drive:
         closed = closed_of(live)
         self.maps.append(closed)
         self.starts.append(truth)
-        self.live = LiveMap(self.rules, live.calibration)
+        self.live = LiveMap(self.rules, live.calibration, live.noise)
         self.live.observe(prepare(last, self.rules, live.calibration.mean, np.zeros(3)))
         if self.on_closed is not None:
             self.on_closed(closed)

@@ -162,7 +162,7 @@ def test_everything_that_is_known_is_saved():
     }  # the scale is the loops' own
     live = vars(LiveMap(mapper(log).rules)).items()
     held = {name for name, value in live if not isinstance(value, (int, float))}
-    assert held == {"rules", "belief", "_setup", "_since", "_last", "normals", "sightings", "open"}
+    assert held == {"rules", "belief", "_setup", "_since", "_last_pose", "normals", "sightings", "open"}
     assert set(vars(mapper(log))) == {
         *("motion", "scanner", "settings", "lineariser", "coordinates", "rules", "sensor", "_start"),
         *(

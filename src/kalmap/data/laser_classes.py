@@ -27,7 +27,7 @@ class LaserClass(msgspec.Struct, frozen=True):
     sigma_range_ratio: float
     sigma_bearing_deg: float
     beam_time: float = 0.0
-    clear_range: float = 5.0
+    clear_range: float = ContourConfig().clear_range
 
 
 SICK = LaserClass(

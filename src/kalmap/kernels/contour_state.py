@@ -68,12 +68,15 @@ def blame(packed, n, entry, effect):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def acquit_latency(packed, n):
-    """Take the latency for independent of all the rest: what comes next has nothing to say about it. O(n)."""
-    first = LATENCY * (LATENCY + 1) // 2
-    packed[first : first + LATENCY] = 0.0
-    for i in range(LATENCY + 1, n):
-        packed[i * (i + 1) // 2 + LATENCY] = 0.0
+def acquit(packed, n, entry):
+    """Take a number for independent of all the rest: what comes next has nothing to say about it. O(n).
+
+    entry: of the number, one of those between the pose and the samples.
+    """
+    first = entry * (entry + 1) // 2
+    packed[first : first + entry] = 0.0
+    for i in range(entry + 1, n):
+        packed[i * (i + 1) // 2 + entry] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

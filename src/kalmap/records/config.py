@@ -260,7 +260,7 @@ class ContourConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         which the map estimates; 0: they are right.
     sigma_lever: m, on either axis, how far the point that the odometry speaks of may be from where the log has it.
     sigma_way_scale, sigma_turn_scale: share, by how much the wheels' ways and turns may be too long or too short as a
-        whole, which the map estimates; odometry of increments only.
+        whole, which the map estimates; of odometry of increments, other odometry is taken at its word.
     sigma_latency: s, how much later or earlier than it was taken a scan may be stamped; estimated as well. Odometry of
         increments only, with stamps that tell how fast the vehicle goes; readers of laser logs look whether they do.
     sigma_stamp: s, by how much each stamp is off by chance, beside that.

@@ -131,7 +131,9 @@ class FloorWorld(msgspec.Struct, frozen=True, kw_only=True, eq=False):
                 max_range=self.max_range,
                 field_of_view_deg=math.degrees(2.0 * np.abs(self.device.bearings).max()),
             ),
-            contour=ContourConfig(method="dc-slasem", clear_range=min(5.0, self.device.max_range)),
+            contour=ContourConfig(
+                method="dc-slasem", clear_range=min(ContourConfig().clear_range, self.device.max_range)
+            ),
         )
 
 

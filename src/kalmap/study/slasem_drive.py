@@ -54,10 +54,11 @@ class Course(msgspec.Struct):
 
 
 def rules_for(config: RunConfig) -> Rules:
-    """The rules of the local maps, from the settings of a run."""
+    """The rules of the local maps, from the settings of a run; the wheels are taken at their word, as published."""
     lineariser, _ = resolve_filter(config.filter)
     motion = motion_from_config(config.motion)
-    return rules_of(motion, lineariser, config.filter.coordinates, config.sensor, config.contour)
+    published = msgspec.structs.replace(config.contour, sigma_way_scale=0.0, sigma_turn_scale=0.0)
+    return rules_of(motion, lineariser, config.filter.coordinates, config.sensor, published)
 
 
 def drive_floor(log: Log, config: RunConfig, divide: bool, most_scans: int | None = None) -> Driven:
@@ -88,7 +89,7 @@ def drive_floor(log: Log, config: RunConfig, divide: bool, most_scans: int | Non
                 base, part, used = chain(forest.maps)[0], part + 1, None
                 local.append(_placed(before, live.samples))
                 before = compose(before, live.pose)
-                live = LiveMap(rules, live.calibration)
+                live = LiveMap(rules, live.calibration, live.noise)
                 live.observe(prepare(event, rules, live.calibration.mean, np.zeros(3)))
                 used = live.pose
             course.rows.append((*row, time.process_time() - started))

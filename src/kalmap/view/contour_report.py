@@ -106,8 +106,8 @@ def _off_scale(metrics: Mapping[str, Any]) -> Iterator[str]:
         if scale is None or sigma is None or abs(scale) < max(LEAST_SCALE, 3.0 * sigma):
             continue
         yield (
-            f"The odometry's {what} are too {'short' if scale > 0 else 'long'} by {number(100.0 * abs(scale))} % "
-            f"(standard deviation {number(100.0 * sigma)} %): the map takes that into account."
+            f"The odometry's {what} are told too {'short' if scale > 0 else 'long'}: they were multiplied by "
+            f"{1.0 + scale:.3f} (standard deviation {sigma:.3f})."
         )
 
 

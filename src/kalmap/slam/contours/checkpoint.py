@@ -32,12 +32,12 @@ FORMAT = "kalmap-contours/4"
 
 
 class _Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The open map, see `LiveMap`; numbers: all that it holds singly, by name. last: (3,) the pose after the last scan
+    """The open map, see `LiveMap`; numbers: all that it holds singly, by name. last_pose: (3,) after the last scan
     that was used."""
 
     belief: Belief
     since: Belief
-    last: np.ndarray
+    last_pose: np.ndarray
     normals: np.ndarray
     sightings: np.ndarray
     open: np.ndarray
@@ -119,7 +119,7 @@ def save_contours(slam: ContourSlam, path: str | os.PathLike[str]) -> None:
         start=slam._start,
         start_covariance=slam._start_covariance,
         live=_Live(
-            live.belief, live._since, live._last, live.normals, live.sightings, live.open, _numbers(live)
+            live.belief, live._since, live._last_pose, live.normals, live.sightings, live.open, _numbers(live)
         ),
         loops=_record(joined.loops),
         legs=[_Leg(leg.poses, leg.covariances, leg.twists, leg.driven) for leg in legs],
@@ -209,7 +209,7 @@ def _live(fresh: LiveMap, record: _Live) -> LiveMap:
     """The open map, from one of the same rules. Raises ValueError unless its numbers are those that a map has."""
     if record.numbers.keys() != _numbers(fresh).keys():
         raise ValueError("the open map's numbers are not those of a map")
-    fresh.belief, fresh._since, fresh._last = record.belief, record.since, record.last
+    fresh.belief, fresh._since, fresh._last_pose = record.belief, record.since, record.last_pose
     fresh.normals, fresh.sightings, fresh.open = record.normals, record.sightings, record.open
     for name, value in record.numbers.items():
         setattr(fresh, name, value)
@@ -247,7 +247,7 @@ def _check(state: _State) -> None:
     ):
         raise ValueError("the open map's arrays do not fit together")
     check_arrays((live.normals, (count, 2), "f"), (live.sightings, (count,), "i"), (live.open, (count,), "i"))
-    check_arrays((live.last, (3,), "f"))
+    check_arrays((live.last_pose, (3,), "f"))
     check_arrays((state.start, (3,), "f"), (state.start_covariance, (3, 3), "f"))
     for each in loops.maps:
         size, samples = len(each.mean), len(each.normals)

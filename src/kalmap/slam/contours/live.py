@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import msgspec
 import numpy as np
@@ -21,7 +20,7 @@ from kalmap.records import Odometry
 from kalmap.slam.contours.belief import squared_distance
 from kalmap.slam.contours.late import check_samples
 from kalmap.slam.contours.seen import Calibration, Rules, Seen
-from kalmap.slam.contours.wheels import moved_by_scales
+from kalmap.slam.contours.wheels import factors, moved_by_scales
 
 ROUNDS = 15  # of the pose's fit to a scan, at most
 FIRST_LIMIT, LAST_LIMIT = (
@@ -47,6 +46,8 @@ PUNCTUAL = np.zeros(3)  # no latency can change the way
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
 LEARN, LEARN_FULL = 0.05, 20  # a scan's part in the noise's factor, and from how many distances on
 MOST_NIS, MOST_FACTOR = 4.0, 25.0  # of one scan, a distance; of the noise
+_WHEELS = np.array([state.WHEELS, state.WHEELS + 1])
+_POSE_AND_WHEELS = np.concatenate([np.arange(3), _WHEELS])
 
 
 class LiveMap:
@@ -64,7 +65,7 @@ class LiveMap:
         self._setup = rules.engine.setup.copy()
         self._setup[BIAS_COUNT] = state.SAMPLES - 3  # the calibration is not turned with the map
         self._since = _begun(np.zeros(3), self.calibration)
-        self._last = np.zeros(3)  # the pose after the last scan that was used
+        self._last_pose = np.zeros(3)  # the pose after the last scan that was used
         self.normals = np.zeros((0, 2))
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
@@ -81,7 +82,7 @@ class LiveMap:
     @property
     def scales(self) -> np.ndarray:
         """(3,) by which odometry's increments (forward, left, turn) are multiplied."""
-        return 1.0 + self.belief.mean[[state.WHEELS, state.WHEELS, state.WHEELS + 1]]
+        return factors(self.belief.mean[state.WHEELS : state.WHEELS + 2])
 
     @property
     def count(self) -> int:
@@ -96,12 +97,14 @@ class LiveMap:
     @property
     def pose_covariance(self) -> np.ndarray:
         """(3, 3); a copy."""
-        return self.belief.robot_covariance()
+        spread = self.belief.block(_POSE_AND_WHEELS)
+        moved = np.column_stack([np.eye(3), self._of_wheels(self.belief.mean[:3]).T])
+        return np.asarray(moved @ spread @ moved.T)
 
     @property
     def driven(self) -> np.ndarray:
         """(2, 2) m^2, what the odometry since the last scan that was used has added to the place's covariance."""
-        return self._since.robot_covariance()[:2, :2]
+        return self._prior(self.belief.mean[:3])[:2, :2]
 
     def map(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (3 + 2 N,) and covariance of pose and samples, the scanner's calibration left out."""
@@ -119,12 +122,13 @@ class LiveMap:
         late: (3,) m, m, rad, how a second more of latency would change the event's way, see `late.moved`.
         """
         check_samples(event)
-        if self.rules.wheels.any():
+        if self.rules.sigma_wheels.any():
             event = msgspec.structs.replace(event, values=event.values * self.scales)
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
             state.shift_point(belief.mean, belief.packed, belief.n, 1.0)
-            effect = np.array([*rotate(belief.mean[2], late[:2]), late[2]])
+            effect = self.scales * late
+            effect = np.array([*rotate(belief.mean[2], effect[:2]), effect[2]])
             self.rules.engine.predict(belief, event)
             belief.flush()
             if effect.any():
@@ -142,10 +146,12 @@ class LiveMap:
         self.scans += 1
         if self.count and len(seen.pieces):
             self._correct(seen, stray)
+        else:
+            self._blame_wheels(self.belief.mean[:3])
         if len(seen.pieces):
             self._found(seen, stray)
         self._since = _begun(self.belief.mean[:3], self.calibration)
-        self._last = self.belief.mean[:3].copy()
+        self._last_pose = self.belief.mean[:3].copy()
         self._retire()
 
     def fit(self, seen: Seen, pose: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -204,18 +210,13 @@ class LiveMap:
         """Equations (7) to (11), with the distances' derivatives taken where the scan fits the samples."""
         belief, pieces = self.belief, seen.pieces
         turned = np.array([*rotate(belief.mean[2], stray[:2]), stray[2]])
-        prior = self._since.robot_covariance()[:3, :3] + np.outer(turned, turned)
-        for k, row in self._of_wheels(belief.mean[:3]):
-            prior += belief.variances()[k] * np.outer(row, row)
+        prior = self._prior(belief.mean[:3]) + np.outer(turned, turned)
         fitted, found = self.fit(seen, belief.mean[:3], prior)
-        belief.flush()
-        if squared_distance(fitted, belief.mean[:3], prior + SMALL) > FAR:
-            # wheels slipped: neither a latency is to blame nor a scale
-            if self.rules.contour.sigma_latency:
-                state.acquit_latency(belief.packed, belief.n)
-        else:
-            for k, row in self._of_wheels(fitted):
-                state.blame(belief.packed, belief.n, k, row)
+        slipped = squared_distance(fitted, belief.mean[:3], prior + SMALL) > FAR
+        self._blame_wheels(belief.mean[:3] if slipped else fitted)
+        if slipped:  # for which neither a latency is to blame nor the wheels' scales
+            for entry in (state.LATENCY, *_WHEELS):
+                state.acquit(belief.packed, belief.n, entry)
         self.open = np.where(found == kernel.OPEN, self.open + 1, np.where(found >= 0, 0, self.open))
         self.usual += FORGET * (_share(found) - self.usual)
         rows = np.flatnonzero(found >= 0)
@@ -235,7 +236,6 @@ class LiveMap:
         moved[2] = wrap(moved[2])
         innovation = -distances - matrices[:, :3] @ moved
         noise = self._noise(pieces, piece, _turned_back(at, belief.mean[indices[:, None] + np.arange(2)]))
-        noise *= self.noise
         if stray.any():
             late = matrices[:, :3] @ turned
             noise += np.outer(late, late)
@@ -258,13 +258,30 @@ class LiveMap:
         if status != OK:
             raise NotPositiveError("the covariance of a local map is not positive definite")
         self.used = len(rows)
-        self._learn()
+        if not slipped:
+            self._learn()
         self.sightings[rows] += 1
 
-    def _of_wheels(self, pose: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Entries of the wheels' scales, and by what (3,) a unit of each has moved the vehicle since the last scan."""
-        if self.rules.wheels.any():
-            yield from enumerate(moved_by_scales(self.scales, self._last, pose), start=state.WHEELS)
+    def _of_wheels(self, pose: np.ndarray) -> np.ndarray:
+        """(2, 3) by what a unit of each scale has moved the vehicle from the last scan to `pose`."""
+        if not self.rules.sigma_wheels.any():
+            return np.zeros((2, 3))
+        mean = self.belief.mean
+        scales, lever = mean[state.WHEELS : state.WHEELS + 2], mean[state.LEVER : state.LEVER + 2]
+        return moved_by_scales(scales, lever, self._last_pose, pose)
+
+    def _prior(self, pose: np.ndarray) -> np.ndarray:
+        """(3, 3) covariance of the way from the last scan to `pose`, by odometry."""
+        rows = self._of_wheels(pose)
+        return np.asarray(self._since.robot_covariance()[:3, :3] + rows.T @ self.belief.block(_WHEELS) @ rows)
+
+    def _blame_wheels(self, pose: np.ndarray) -> None:
+        """Give the pose its share of the scales' errors, the way to it being that to `pose`."""
+        belief = self.belief
+        belief.flush()
+        for entry, row in zip(_WHEELS, self._of_wheels(pose), strict=True):
+            if row.any():
+                state.blame(belief.packed, belief.n, entry, row)
 
     def _learn(self) -> None:
         """Take the scans for noisier where their distances lie farther off than they should, and the other way round:
@@ -307,7 +324,7 @@ class LiveMap:
             points, piece, pieces.coef, pieces.cov, pieces.origin, pieces.scale, pieces.sigma, pieces.ends,
             pieces.lengths, settings.sigma_offset**2, math.radians(settings.sigma_askew_deg) ** 2, noise,
         )  # fmt: skip
-        return noise
+        return noise * self.noise
 
     def _found(self, seen: Seen, stray: np.ndarray) -> None:
         """New samples where the scan shows contour that no sample stands for."""

@@ -332,8 +332,8 @@ class Loops:
         self.searched += 1
         guess, covariance = self.graph.between(first, second)
         a, b = self.maps[first], self.maps[second]
-        half = min(WIDEST, 3.0 * float(np.sqrt(BENT * max(covariance[0, 0], covariance[1, 1]))) + 0.3)
-        turn = min(FARTHEST_TURN, 3.0 * float(np.sqrt(BENT * covariance[2, 2])) + 0.05)
+        half = min(WIDEST, 3.0 * float(np.sqrt(max(covariance[0, 0], covariance[1, 1]))) + 0.3)
+        turn = min(FARTHEST_TURN, 3.0 * float(np.sqrt(covariance[2, 2])) + 0.05)
         places = [guess]
         if half > SURE or turn > SURE_TURN:
             places += search(a, b, guess, half, turn)

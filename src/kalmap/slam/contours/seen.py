@@ -15,6 +15,7 @@ from kalmap.models import Increments, RangeBearing
 from kalmap.models.motion import BuiltInMotion
 from kalmap.perception.contours import CutConfig, Pieces, cut_scan
 from kalmap.records import ConfigError, ContourConfig, Scan, SensorConfig
+from kalmap.slam.contours import wheels
 from kalmap.slam.engines import CompiledEngine
 
 
@@ -42,24 +43,24 @@ taken from it, by the same noise that the latency is asked to explain (errors in
 def later(calibration: Calibration) -> Calibration:
     """What is known of the vehicle when a new local map begins."""
     covariance = calibration.covariance.copy()
-    if covariance[4, 4]:
-        covariance[4, 4] += LATENCY_DRIFT**2
+    drift = np.array([LATENCY_DRIFT, *wheels.DRIFT])
+    covariance[[4, 5, 6], [4, 5, 6]] += np.where(np.diagonal(covariance)[4:] > 0.0, drift**2, 0.0)
     return Calibration(calibration.mean, covariance)
 
 
 class Rules(msgspec.Struct, frozen=True):
-    """What every local map of a drive works by. wheels: (2,) standard deviations of the scales of odometry's ways and
-    turns."""
+    """What every local map of a drive works by. sigma_wheels: (2,) of the scales of odometry's ways
+    and turns."""
 
     engine: CompiledEngine
     sensor: SensorConfig
     contour: ContourConfig
     cut: CutConfig
-    wheels: np.ndarray
+    sigma_wheels: np.ndarray
 
     @property
     def calibration(self) -> Calibration:
-        """What is known of the scanner before the drive."""
+        """What is known of the vehicle before the drive."""
         contour = self.contour
         sigmas = [
             contour.sigma_bearing_scale,
@@ -67,7 +68,7 @@ class Rules(msgspec.Struct, frozen=True):
             contour.sigma_lever,
             contour.sigma_lever,
             contour.sigma_latency,
-            *self.wheels,
+            *self.sigma_wheels,
         ]
         return Calibration(np.zeros(7), np.diag(sigmas) ** 2)
 
@@ -95,8 +96,8 @@ def rules_of(
     if contour.sigma_latency and not isinstance(motion, Increments):
         raise ConfigError("contour.sigma_latency: a latency is estimated with odometry of increments only")
     engine = CompiledEngine(motion, RangeBearing(), lineariser, coordinates == "invariant", False)
-    wheels = np.array([contour.sigma_way_scale, contour.sigma_turn_scale]) * isinstance(motion, Increments)
-    return Rules(engine, sensor, contour, CutConfig(), wheels)
+    sigmas = np.array([contour.sigma_way_scale, contour.sigma_turn_scale]) * isinstance(motion, Increments)
+    return Rules(engine, sensor, contour, CutConfig(), sigmas)
 
 
 class Seen(msgspec.Struct, frozen=True):

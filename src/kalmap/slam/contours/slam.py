@@ -27,6 +27,7 @@ from kalmap.records import (
     Sightings,
 )
 from kalmap.slam.checks import check_odometry, check_scan, check_time, checked_start
+from kalmap.slam.contours import wheels
 from kalmap.slam.contours.closed import ENOUGH
 from kalmap.slam.contours.held import holding
 from kalmap.slam.contours.late import Clock, Late
@@ -303,6 +304,7 @@ class ContourSlam:
         calibration = self._live.calibration
         deviations = np.sqrt(np.diagonal(calibration.covariance))
         latency = math.hypot(deviations[4], LATENCY_BIAS) if deviations[4] else 0.0
+        way, turn = np.where(deviations[5:] > 0.0, np.hypot(deviations[5:], wheels.BIAS), 0.0)
         return {
             "local_maps": len(loops.maps),
             "loops": sum(relation.loop for relation in loops.graph.relations),
@@ -317,9 +319,9 @@ class ContourSlam:
             "lever_y_m": float(calibration.mean[3]),
             "lever_y_sigma_m": float(deviations[3]),
             "way_scale": float(calibration.mean[5]),
-            "way_scale_sigma": float(deviations[5]),
+            "way_scale_sigma": float(way),
             "turn_scale": float(calibration.mean[6]),
-            "turn_scale_sigma": float(deviations[6]),
+            "turn_scale_sigma": float(turn),
             "scan_noise_factor": self._live.noise,
             "latency_s": float(calibration.mean[4]),
             "latency_sigma_s": latency,

@@ -2,9 +2,9 @@
 
 A wheel base is known to a few percent, a radius to one. As states, the two scales would come out too small if their
 derivative were the odometry's own way: its noise is what they are asked to explain (errors in variables; Fuller 1987,
-Measurement Error Models, section 1.1). The way that the scans show has none of it, or next to none, and stands in its
-place: an instrument. It is known only when a scan has been fitted, and so the pose is given its share of the scales'
-errors then, before the scan corrects it.
+Measurement Error Models, section 1.1). The way that the scans show has little of it, and stands in its place: an
+instrument. It is known only when a scan has been fitted, and so the pose is given its share of the scales' errors then,
+before the scan corrects it.
 """
 
 from __future__ import annotations
@@ -12,16 +12,33 @@ from __future__ import annotations
 import numpy as np
 
 from kalmap.geometry.angles import wrap
+from kalmap.geometry.se2 import rotate
+
+LEAST, MOST = 0.5, 2.0
+"""Factors beyond which no scale is believed."""
+DRIFT = np.array([0.001, 0.003])
+"""By how much the scales are others a local map later: carpets, loads, tyres."""
+BIAS = np.array([0.004, 0.012])
+"""By how much they come out too large on simulated floors: a fit of a scan is not quite free of the odometry."""
 
 
-def moved_by_scales(scales: np.ndarray, last: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def factors(scales: np.ndarray) -> np.ndarray:
+    """(3,) by which increments (forward, left, turn) are multiplied. scales: (2,) of ways and turns."""
+    return np.clip(1.0 + scales[[0, 0, 1]], LEAST, MOST)
+
+
+def moved_by_scales(scales: np.ndarray, lever: np.ndarray, last: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """(2, 3) m, m, rad: by how much a unit of the ways' scale, and of the turns', has moved the vehicle.
 
-    scales: (3,) factors of increments (forward, left, turn). last, pose: (3,) at the last scan and at this one, by the
-    scans. A turn's share of the place is that of an even arc.
+    scales: (2,). lever: (2,) m, the point that the odometry speaks of, in the vehicle's frame: its way is what is
+    scaled. last, pose: (3,) at the last scan and at this one, by the scans. A turn's share of the place is that of an
+    even arc.
     """
-    x, y, turn = pose - last
-    turn = wrap(turn)
-    _, way, turned = 1.0 / scales
-    bend = 0.5 * turn * turned
-    return np.array([[way * x, way * y, 0.0], [-bend * y, bend * x, turn * turned]])
+    arm = rotate(pose[2], lever)
+    x, y = pose[:2] + arm - last[:2] - rotate(last[2], lever)
+    _, way, turned = 1.0 / factors(scales)
+    turn = turned * wrap(pose[2] - last[2])
+    rows = np.array([[way * x, way * y, 0.0], [-0.5 * turn * y, 0.5 * turn * x, turn]])
+    rows[:, 0] += rows[:, 2] * arm[1]
+    rows[:, 1] -= rows[:, 2] * arm[0]
+    return rows

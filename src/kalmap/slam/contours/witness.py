@@ -46,11 +46,14 @@ class Witness:
             np.ascontiguousarray(closed.normals[rows]),
         )
         found, seen, through = np.empty(len(rows), dtype=np.int64), 0, 0
+        reach = np.full(
+            2, self._rules.sensor.max_range
+        )  # silence counts: it is judged by shares, not one by one
         for place, view in self._of(by):
             pieces = view.pieces
             kernel.look(
                 compose(pose, place), samples, normals, self._rules.mount, view.bearings, view.ranges,
-                view.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, self._rules.reach, LIMIT,
+                view.piece_of_beam, pieces.coef, pieces.origin, pieces.scale, reach, LIMIT,
                 found, np.empty(len(rows)), np.empty((len(rows), 2)),
             )  # fmt: skip
             seen += int((found >= 0).sum())

@@ -16,7 +16,7 @@ from kalmap.slam.in_order import InOrder
 LEAST_FOUND = 10  # samples that a scan must find to be laid on a map once more
 STRAY = np.diag(
     [0.03**2, 0.03**2, np.radians(1.0) ** 2]
-)  # how far a scan may be from where the filter had it, or less where that was surer
+)  # how far a scan may be from where the filter had it; less where that was sure: no prior, but a guard
 LEAST_STRAY = 0.01 * STRAY
 
 
