@@ -221,3 +221,25 @@ def test_wheels_that_measure_wrong_are_told(scale, sigma, said):
     for name in ("way_scale", "turn_scale"):
         warnings = contour_warnings({name: scale, f"{name}_sigma": sigma})
         assert [said in each for each in warnings] == ([True] if said else [])
+
+
+def test_a_scale_is_wrong_in_all_maps_alike():
+    """A blind drive in five local maps. Oracle: the variance of the whole way's scale, not that of five ways' own."""
+    log = block_log(1)
+    total = 0.0
+    for earlier in range(5):
+        live = LiveMap(rules_for(log, sigma_turn_scale=0.0), earlier=earlier)
+        for _ in range(50):
+            live.predict(Odometry(0.1, np.array([[0.2, 0.0, 0.0]]), np.array([0.1])))
+        live.observe(
+            prepare(
+                Scan(0.0, np.full(9, np.inf), np.linspace(-1.0, 1.0, 9)),
+                live.rules,
+                live.calibration.mean,
+                np.zeros(3),
+            )
+        )
+        total += live.end_covariance[0, 0]
+        assert np.array_equal(live.map()[1][:3, :3], live.end_covariance)
+    noise = 5 * 50 * (0.1 * 0.2) ** 2
+    assert math.isclose(total, noise + (0.01 * 5 * 10.0) ** 2, rel_tol=0.02)

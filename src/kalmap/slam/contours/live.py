@@ -56,10 +56,12 @@ class LiveMap:
     normals: (N, 2) of the samples, towards the free side. sightings, open: (N,) scans that corrected each, and scans in
     a row that looked through it. length: m driven. scans: used. usual: share of the samples in
     view that scans find as a rule. noise: by how much the variance of the scans' distances is more than their fits say,
-    as their innovations have shown. nis, used: of the last scan.
+    as their innovations have shown. earlier: local maps of the same drive before this one. nis, used: of the last scan.
     """
 
-    def __init__(self, rules: Rules, calibration: Calibration | None = None, noise: float = 1.0) -> None:
+    def __init__(
+        self, rules: Rules, calibration: Calibration | None = None, noise: float = 1.0, earlier: int = 0
+    ) -> None:
         self.rules = rules
         self.belief = _begun(np.zeros(3), calibration or rules.calibration)
         self._setup = rules.engine.setup.copy()
@@ -70,7 +72,7 @@ class LiveMap:
         self.sightings = np.zeros(0, dtype=np.int64)
         self.open = np.zeros(0, dtype=np.int64)
         self.length, self.scans, self.usual = 0.0, 0, 1.0
-        self.noise = noise
+        self.noise, self.earlier = noise, earlier
         self.nis, self.used = float("nan"), 0
 
     @property
@@ -106,10 +108,26 @@ class LiveMap:
         """(2, 2) m^2, what the odometry since the last scan that was used has added to the place's covariance."""
         return self._prior(self.belief.mean[:3])[:2, :2]
 
+    @property
+    def end_covariance(self) -> np.ndarray:
+        """(3, 3) of the pose as the end of a closed map, which adds to those of the maps before as if independent.
+
+        What the wheels' scales are wrong by is wrong in all of them: with K maps before, the variance that this adds
+        to the sum is 1 + 2 K times its own share, or a drive would seem surer the more maps it is parted into.
+        """
+        spread = self.belief.block(_POSE_AND_WHEELS)
+        own = np.diagonal(spread)[3:]
+        held = own > 0.0
+        across = spread[:3, 3:][:, held]
+        shared = across @ np.linalg.solve(spread[3:, 3:][np.ix_(held, held)], across.T)
+        return np.asarray(self.pose_covariance + 2.0 * self.earlier * shared)
+
     def map(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (3 + 2 N,) and covariance of pose and samples, the scanner's calibration left out."""
+        """Mean (3 + 2 N,) and covariance of pose and samples as they are closed, the calibration left out."""
         kept = np.concatenate([np.arange(3), np.arange(state.SAMPLES, self.belief.n)])
-        return self.belief.mean[kept], self.belief.covariance()[np.ix_(kept, kept)]
+        covariance = self.belief.covariance()[np.ix_(kept, kept)]
+        covariance[:3, :3] = self.end_covariance
+        return self.belief.mean[kept], covariance
 
     @property
     def samples(self) -> np.ndarray:

@@ -205,8 +205,9 @@ class ContourSlam:
         """Close the local map, and start the next one where the vehicle is, with the scan at hand."""
         live = self._live
         self._worker.close(live, self._leg.leg())
-        self._ends.append((live.pose, live.pose_covariance))
-        self._live, self._leg = LiveMap(self.rules, later(live.calibration), live.noise), OpenLeg()
+        self._ends.append((live.pose, live.end_covariance))
+        self._live = LiveMap(self.rules, later(live.calibration), live.noise, live.earlier + 1)
+        self._leg = OpenLeg()
         seen = prepare(scan, self.rules, live.calibration.mean, self._twist)
         self._live.observe(seen, self.settings.sigma_stamp * self._twist)
 
