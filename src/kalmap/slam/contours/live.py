@@ -46,6 +46,7 @@ PUNCTUAL = np.zeros(3)  # no latency can change the way
 OUTLIER = 3.0  # standard deviations beyond which a distance has its noise inflated
 LEARN, LEARN_FULL = 0.05, 20  # a scan's part in the noise's factor, and from how many distances on
 MOST_NIS, MOST_FACTOR = 4.0, 25.0  # of one scan, a distance; of the noise
+UNKNOWN = 0.5  # of a scale's variance before the drive, above which nothing has been learnt of it
 _WHEELS = np.array([state.WHEELS, state.WHEELS + 1])
 _POSE_AND_WHEELS = np.concatenate([np.arange(3), _WHEELS])
 
@@ -112,14 +113,14 @@ class LiveMap:
     def end_covariance(self) -> np.ndarray:
         """(3, 3) of the pose as the end of a closed map, which adds to those of the maps before as if independent.
 
-        What the wheels' scales are wrong by is wrong in all of them: with K maps before, the variance that this adds
-        to the sum is 1 + 2 K times its own share, or a drive would seem surer the more maps it is parted into.
+        What the wheels' scales are wrong by is wrong in all of them: with K maps before, the variance that this adds to
+        the sum is 1 + 2 K times its own share, or a drive would seem surer the more maps it is parted into. Only while
+        scans have said next to nothing of a scale, as along a bare corridor: what is left of it later is small.
         """
         spread = self.belief.block(_POSE_AND_WHEELS)
-        own = np.diagonal(spread)[3:]
-        held = own > 0.0
-        across = spread[:3, 3:][:, held]
-        shared = across @ np.linalg.solve(spread[3:, 3:][np.ix_(held, held)], across.T)
+        unknown = np.diagonal(spread)[3:] > UNKNOWN * self.rules.sigma_wheels**2
+        across = spread[:3, 3:][:, unknown]
+        shared = across @ np.linalg.solve(spread[3:, 3:][np.ix_(unknown, unknown)], across.T)
         return np.asarray(self.pose_covariance + 2.0 * self.earlier * shared)
 
     def map(self) -> tuple[np.ndarray, np.ndarray]:
@@ -290,8 +291,8 @@ class LiveMap:
 
     def _prior(self, pose: np.ndarray) -> np.ndarray:
         """(3, 3) covariance of the way from the last scan to `pose`, by odometry."""
-        rows = self._of_wheels(pose)
-        return np.asarray(self._since.robot_covariance()[:3, :3] + rows.T @ self.belief.block(_WHEELS) @ rows)
+        moved = np.column_stack([np.eye(3), self._of_wheels(pose).T])
+        return np.asarray(moved @ self._since.block(_POSE_AND_WHEELS) @ moved.T)
 
     def _blame_wheels(self, pose: np.ndarray) -> None:
         """Give the pose its share of the scales' errors, the way to it being that to `pose`."""
