@@ -49,6 +49,8 @@ MOST_NIS, MOST_FACTOR = 4.0, 25.0  # of one scan, a distance; of the noise
 UNKNOWN = 0.5  # of a scale's variance before the drive, above which nothing has been learnt of it
 _WHEELS = np.array([state.WHEELS, state.WHEELS + 1])
 _POSE_AND_WHEELS = np.concatenate([np.arange(3), _WHEELS])
+_HIGH = np.maximum(_POSE_AND_WHEELS[:, None], _POSE_AND_WHEELS)
+_PACKED = _HIGH * (_HIGH + 1) // 2 + np.minimum(_POSE_AND_WHEELS[:, None], _POSE_AND_WHEELS)
 
 
 class LiveMap:
@@ -100,9 +102,7 @@ class LiveMap:
     @property
     def pose_covariance(self) -> np.ndarray:
         """(3, 3); a copy."""
-        spread = self.belief.block(_POSE_AND_WHEELS)
-        moved = np.column_stack([np.eye(3), self._of_wheels(self.belief.mean[:3]).T])
-        return np.asarray(moved @ spread @ moved.T)
+        return _moved(self.belief, self._of_wheels(self.belief.mean[:3]))
 
     @property
     def driven(self) -> np.ndarray:
@@ -142,15 +142,17 @@ class LiveMap:
         """
         check_samples(event)
         if self.rules.sigma_wheels.any():
-            event = msgspec.structs.replace(event, values=event.values * self.scales)
+            scales = self.scales
+            event, late = msgspec.structs.replace(event, values=event.values * scales), scales * late
+        blamed = late.any()
         before = self.belief.mean[:2].copy()
         for belief in (self.belief, self._since):
             state.shift_point(belief.mean, belief.packed, belief.n, 1.0)
-            effect = self.scales * late
-            effect = np.array([*rotate(belief.mean[2], effect[:2]), effect[2]])
+            heading = belief.mean[2]
             self.rules.engine.predict(belief, event)
             belief.flush()
-            if effect.any():
+            if blamed:
+                effect = np.array([*rotate(heading, late[:2]), late[2]])
                 state.blame(belief.packed, belief.n, state.LATENCY, effect)
             state.shift_point(belief.mean, belief.packed, belief.n, -1.0)
         self.length += float(np.hypot(*(self.belief.mean[:2] - before)))
@@ -291,8 +293,7 @@ class LiveMap:
 
     def _prior(self, pose: np.ndarray) -> np.ndarray:
         """(3, 3) covariance of the way from the last scan to `pose`, by odometry."""
-        moved = np.column_stack([np.eye(3), self._of_wheels(pose).T])
-        return np.asarray(moved @ self._since.block(_POSE_AND_WHEELS) @ moved.T)
+        return _moved(self._since, self._of_wheels(pose))
 
     def _blame_wheels(self, pose: np.ndarray) -> None:
         """Give the pose its share of the scales' errors, the way to it being that to `pose`."""
@@ -378,6 +379,13 @@ class LiveMap:
             self.belief.remove(state.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
         self.sightings, self.open = np.delete(self.sightings, gone), np.delete(self.open, gone)
+
+
+def _moved(belief: Belief, rows: np.ndarray) -> np.ndarray:
+    """(3, 3) of a belief's pose after its wheels' scales have moved it by rows (2, 3) a unit."""
+    spread = belief.packed[_PACKED]
+    across = spread[:3, 3:] @ rows
+    return np.asarray(spread[:3, :3] + across + across.T + rows.T @ spread[3:, 3:] @ rows)
 
 
 def _value(found: np.ndarray) -> float:

@@ -9,10 +9,9 @@ before the scan corrects it.
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from kalmap.geometry.angles import wrap
-from kalmap.geometry.se2 import rotate
+import numpy as np
 
 LEAST, MOST = 0.5, 2.0
 """Factors beyond which no scale is believed."""
@@ -24,7 +23,8 @@ BIAS = np.array([0.004, 0.012])
 
 def factors(scales: np.ndarray) -> np.ndarray:
     """(3,) by which increments (forward, left, turn) are multiplied. scales: (2,) of ways and turns."""
-    return np.clip(1.0 + scales[[0, 0, 1]], LEAST, MOST)
+    way, turn = (min(max(1.0 + float(scale), LEAST), MOST) for scale in scales)
+    return np.array([way, way, turn])
 
 
 def moved_by_scales(scales: np.ndarray, lever: np.ndarray, last: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -34,11 +34,15 @@ def moved_by_scales(scales: np.ndarray, lever: np.ndarray, last: np.ndarray, pos
     scaled. last, pose: (3,) at the last scan and at this one, by the scans. A turn's share of the place is that of an
     even arc.
     """
-    arm = rotate(pose[2], lever)
-    x, y = pose[:2] + arm - last[:2] - rotate(last[2], lever)
-    _, way, turned = 1.0 / factors(scales)
-    turn = turned * wrap(pose[2] - last[2])
-    rows = np.array([[way * x, way * y, 0.0], [-0.5 * turn * y, 0.5 * turn * x, turn]])
-    rows[:, 0] += rows[:, 2] * arm[1]
-    rows[:, 1] -= rows[:, 2] * arm[0]
-    return rows
+    ax, ay = _turned(lever, float(pose[2]))
+    bx, by = _turned(lever, float(last[2]))
+    x, y = float(pose[0]) + ax - float(last[0]) - bx, float(pose[1]) + ay - float(last[1]) - by
+    way, turned = (1.0 / min(max(1.0 + float(scale), LEAST), MOST) for scale in scales)
+    turn = turned * math.remainder(float(pose[2] - last[2]), 2.0 * math.pi)
+    return np.array([[way * x, way * y, 0.0], [turn * (ay - 0.5 * y), turn * (0.5 * x - ax), turn]])
+
+
+def _turned(lever: np.ndarray, heading: float) -> tuple[float, float]:
+    """A point in the vehicle's frame, turned into the map's. In floats: it is asked for at every event."""
+    c, s = math.cos(heading), math.sin(heading)
+    return c * float(lever[0]) - s * float(lever[1]), s * float(lever[0]) + c * float(lever[1])

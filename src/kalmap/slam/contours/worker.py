@@ -70,9 +70,10 @@ def relaid(live: LiveMap, leg: Leg) -> Leg:
         return leg
     poses = leg.poses.copy()
     calibration = live.calibration.mean
-    stray = np.linalg.inv(STRAY)
+    known = leg.covariances + LEAST_STRAY
+    priors = STRAY @ np.linalg.inv(STRAY + known) @ known  # the parallel sum of both
     for row, scan in enumerate(leg.scans):
-        prior = np.linalg.inv(stray + np.linalg.inv(leg.covariances[row] + LEAST_STRAY))
+        prior = 0.5 * (priors[row] + priors[row].T)
         pose, found = live.place(prepare(scan, live.rules, calibration, leg.twists[row]), poses[row], prior)
         if (found >= 0).sum() >= LEAST_FOUND:
             poses[row] = pose
