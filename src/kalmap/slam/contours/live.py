@@ -49,8 +49,6 @@ MOST_NIS, MOST_FACTOR = 4.0, 25.0  # of one scan, a distance; of the noise
 UNKNOWN = 0.5  # of a scale's variance before the drive, above which nothing has been learnt of it
 _WHEELS = np.array([state.WHEELS, state.WHEELS + 1])
 _POSE_AND_WHEELS = np.concatenate([np.arange(3), _WHEELS])
-_HIGH = np.maximum(_POSE_AND_WHEELS[:, None], _POSE_AND_WHEELS)
-_PACKED = _HIGH * (_HIGH + 1) // 2 + np.minimum(_POSE_AND_WHEELS[:, None], _POSE_AND_WHEELS)
 
 
 class LiveMap:
@@ -80,7 +78,7 @@ class LiveMap:
 
     @property
     def calibration(self) -> Calibration:
-        """What is known of the scanner now."""
+        """What is known of the vehicle now."""
         entries = np.arange(state.CALIBRATION, state.SAMPLES)
         return Calibration(self.belief.mean[entries], self.belief.block(entries))
 
@@ -383,7 +381,7 @@ class LiveMap:
 
 def _moved(belief: Belief, rows: np.ndarray) -> np.ndarray:
     """(3, 3) of a belief's pose after its wheels' scales have moved it by rows (2, 3) a unit."""
-    spread = belief.packed[_PACKED]
+    spread = belief.block(_POSE_AND_WHEELS)
     across = spread[:3, 3:] @ rows
     return np.asarray(spread[:3, :3] + across + across.T + rows.T @ spread[3:, 3:] @ rows)
 

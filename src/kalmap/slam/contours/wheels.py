@@ -37,7 +37,7 @@ def moved_by_scales(scales: np.ndarray, lever: np.ndarray, last: np.ndarray, pos
     ax, ay = _turned(lever, float(pose[2]))
     bx, by = _turned(lever, float(last[2]))
     x, y = float(pose[0]) + ax - float(last[0]) - bx, float(pose[1]) + ay - float(last[1]) - by
-    way, turned = (1.0 / min(max(1.0 + float(scale), LEAST), MOST) for scale in scales)
+    _, way, turned = (1.0 / factors(scales)).tolist()
     turn = turned * math.remainder(float(pose[2] - last[2]), 2.0 * math.pi)
     return np.array([[way * x, way * y, 0.0], [turn * (ay - 0.5 * y), turn * (0.5 * x - ax), turn]])
 

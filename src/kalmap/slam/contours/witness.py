@@ -46,9 +46,8 @@ class Witness:
             np.ascontiguousarray(closed.normals[rows]),
         )
         found, seen, through = np.empty(len(rows), dtype=np.int64), 0, 0
-        reach = np.full(
-            2, self._rules.sensor.max_range
-        )  # silence counts: it is judged by shares, not one by one
+        # silence counts at any range here: it is judged by shares, not sample by sample
+        reach = np.full(2, self._rules.sensor.max_range)
         for place, view in self._of(by):
             pieces = view.pieces
             kernel.look(
