@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
-from scipy.stats import chi2
 
+from kalmap.geometry.ellipses import chi_square
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import correlate
 from kalmap.slam.contours.closed import CELL, ClosedMap, Shape
@@ -62,7 +62,7 @@ def joined(first: ClosedMap, second: ClosedMap, noise: Noise = "curve") -> Joine
     association = Association(first, second, stacked, noise)
     association.run()
     solved, corners, stretches = association.solved, association.corners, association.stretches
-    limit = SCALE * float(chi2.ppf(0.999, solved.freedom)) if solved.freedom else 0.0
+    limit = SCALE * chi_square(0.999, solved.freedom) if solved.freedom else 0.0
     laid = (
         msgspec.structs.replace(first, mean=solved.mean[: stacked.start]),
         msgspec.structs.replace(second, mean=solved.mean[stacked.start :]),
@@ -156,7 +156,7 @@ class Association:
             return False
         spread = SCALE * self.solved.spread(self.stacked.covariance, made.matrix) + made.noise
         squared = float(made.value @ np.linalg.solve(spread, made.value))
-        return squared <= float(chi2.ppf(0.999, len(made.value)))
+        return squared <= chi_square(0.999, len(made.value))
 
     def _constraints(self, mean: np.ndarray) -> list[Constraint]:
         ones, others = self._found

@@ -7,9 +7,9 @@ import math
 import msgspec
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.stats import chi2
 
 from kalmap.geometry.corners import corner
+from kalmap.geometry.ellipses import chi_square, chi_square_2
 from kalmap.geometry.se2 import rotate
 from kalmap.slam.contours.closed import ClosedMap, neighbours
 from kalmap.slam.contours.stacked import Constraint, Stacked, condition, difference
@@ -19,7 +19,7 @@ LEG, LEAST_LEG = 8, 4  # samples of a wall that a corner's line is fitted to: at
 STRAIGHT = 0.02  # m, how far samples of a straight wall may lie off its line
 APART = 1.6  # spacings from the end of a wall to the corner, at most
 SHARPEST, BLUNTEST = math.radians(35.0), math.radians(145.0)  # turn between the two walls
-GATE = float(chi2.ppf(0.99, 2))
+GATE = chi_square_2(0.99)
 SAME_WAY = 0.87  # cosine between normals of walls that may be one
 DIFFERENT = 1.0  # m: beyond this, and a certainty of the maps, corners are never one
 
@@ -170,7 +170,7 @@ def _compatible(
     for _, i, j in pairs:
         tried = [*constraints, same_corner(stacked, mean, first[i], second[j])]
         solved = condition(stacked.mean, stacked.covariance, tried, mean)
-        if solved.distance <= widen * float(chi2.ppf(0.99, max(1, solved.freedom))):
+        if solved.distance <= widen * chi_square(0.99, max(1, solved.freedom)):
             kept.append((i, j))
             constraints = tried
     return kept
