@@ -16,6 +16,13 @@ def packed_length(n: int) -> int:
     return n * (n + 1) // 2
 
 
+def packed_places(entries: np.ndarray) -> np.ndarray:
+    """(k, k), where in a packed covariance that of the entries (k,) stands."""
+    high = np.maximum(entries[:, None], entries[None])
+    low = np.minimum(entries[:, None], entries[None])
+    return np.asarray(high * (high + 1) // 2 + low)
+
+
 class Belief:
     """Gaussian over (pose 3, biases, landmarks 2 each), n entries of which the first `robot` are the robot's.
 
@@ -77,9 +84,7 @@ class Belief:
 
     def block(self, entries: np.ndarray) -> np.ndarray:
         """(k, k) covariance of the entries (k,), a copy, without unpacking the rest."""
-        high = np.maximum(entries[:, None], entries[None])
-        low = np.minimum(entries[:, None], entries[None])
-        return self.packed[high * (high + 1) // 2 + low]
+        return self.packed[packed_places(entries)]
 
     def variances(self) -> np.ndarray:
         """The diagonal (n,), a copy; current without a flush."""

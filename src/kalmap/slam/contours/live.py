@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from kalmap.gaussian import Belief, NotPositiveError
+from kalmap.gaussian.belief import packed_places
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import rotate
 from kalmap.kernels import contour as kernel
@@ -48,7 +49,7 @@ LEARN, LEARN_FULL = 0.05, 20  # a scan's part in the noise's factor, and from ho
 MOST_NIS, MOST_FACTOR = 4.0, 25.0  # of one scan, a distance; of the noise
 UNKNOWN = 0.5  # of a scale's variance before the drive, above which nothing has been learnt of it
 _WHEELS = np.array([state.WHEELS, state.WHEELS + 1])
-_POSE_AND_WHEELS = np.concatenate([np.arange(3), _WHEELS])
+_POSE_AND_WHEELS = packed_places(np.concatenate([np.arange(3), _WHEELS]))
 
 
 class LiveMap:
@@ -115,7 +116,7 @@ class LiveMap:
         the sum is 1 + 2 K times its own share, or a drive would seem surer the more maps it is parted into. Only while
         scans have said next to nothing of a scale, as along a bare corridor: what is left of it later is small.
         """
-        spread = self.belief.block(_POSE_AND_WHEELS)
+        spread = self.belief.packed[_POSE_AND_WHEELS]
         unknown = np.diagonal(spread)[3:] > UNKNOWN * self.rules.sigma_wheels**2
         across = spread[:3, 3:][:, unknown]
         shared = across @ np.linalg.solve(spread[3:, 3:][np.ix_(unknown, unknown)], across.T)
@@ -214,8 +215,7 @@ class LiveMap:
         fitted, information = pose.copy(), np.linalg.inv(prior + SMALL)
         found, distances = np.empty(self.count, dtype=np.int64), np.empty(self.count)
         pieces = seen.pieces
-        reach = float(np.percentile(np.hypot(*pieces.points.T), 90)) if len(pieces.points) else 0.0
-        stray = 3.0 * math.sqrt(max(prior[0, 0], prior[1, 1]) + prior[2, 2] * reach**2)
+        stray = 3.0 * math.sqrt(max(prior[0, 0], prior[1, 1]) + prior[2, 2] * _reach(pieces.points) ** 2)
         first = min(FIRST_LIMIT, limit + (stray if limit == LAST_LIMIT else 0.0))
         kernel.fit_pose(
             fitted, information, self.samples, self.normals, self.rules.mount, seen.bearings, seen.ranges,
@@ -381,9 +381,19 @@ class LiveMap:
 
 def _moved(belief: Belief, rows: np.ndarray) -> np.ndarray:
     """(3, 3) of a belief's pose after its wheels' scales have moved it by rows (2, 3) a unit."""
-    spread = belief.block(_POSE_AND_WHEELS)
+    spread = belief.packed[_POSE_AND_WHEELS]
     across = spread[:3, 3:] @ rows
     return np.asarray(spread[:3, :3] + across + across.T + rows.T @ spread[3:, 3:] @ rows)
+
+
+def _reach(points: np.ndarray) -> float:
+    """m, within which nine in ten of a scan's points (N, 2) lie; np.percentile takes as long as the scan's fit."""
+    if not len(points):
+        return 0.0
+    distances = np.sort(np.hypot(points[:, 0], points[:, 1]))
+    row, share = divmod(0.9 * (len(distances) - 1), 1.0)
+    below, above = distances[int(row)], distances[min(int(row) + 1, len(distances) - 1)]
+    return float(below + share * (above - below))
 
 
 def _value(found: np.ndarray) -> float:

@@ -169,9 +169,8 @@ def undistorted(scan: Scan, twist: np.ndarray, mount: np.ndarray, beam_time: flo
 
 def _deviations(pieces: Pieces) -> np.ndarray:
     """(K,) m, see `Seen`."""
-    variances = pieces.sigma**2
-    rows = np.empty((2, 10))
-    for k, (ox, oy) in enumerate(pieces.origin):
-        distance_rows(pieces.coef[k], ox, oy, pieces.scale[k], pieces.ends[k], rows)
-        variances[k] += max(rows[0] @ pieces.cov[k] @ rows[0], rows[1] @ pieces.cov[k] @ rows[1])
-    return np.asarray(np.sqrt(variances))
+    rows = np.empty((len(pieces), 2, 1, 10))  # of either end
+    for k, ((ox, oy), scale) in enumerate(zip(pieces.origin.tolist(), pieces.scale.tolist(), strict=True)):
+        distance_rows(pieces.coef[k], ox, oy, scale, pieces.ends[k], rows[k, :, 0])
+    of_curves = rows @ pieces.cov[:, None] @ np.swapaxes(rows, 2, 3)
+    return np.asarray(np.sqrt(pieces.sigma**2 + of_curves.max(axis=(1, 2, 3))))

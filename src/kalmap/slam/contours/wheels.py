@@ -23,7 +23,7 @@ BIAS = np.array([0.004, 0.012])
 
 def factors(scales: np.ndarray) -> np.ndarray:
     """(3,) by which increments (forward, left, turn) are multiplied. scales: (2,) of ways and turns."""
-    way, turn = (min(max(1.0 + float(scale), LEAST), MOST) for scale in scales)
+    way, turn = (min(max(1.0 + scale, LEAST), MOST) for scale in scales.tolist())
     return np.array([way, way, turn])
 
 
