@@ -24,6 +24,23 @@ class Relation(msgspec.Struct, frozen=True):
     loop: bool = False
 
 
+class _Measured(msgspec.Struct, frozen=True, eq=False):
+    """All R relations as arrays: first, second (R,), pose (R, 3), information (R, 3, 3) with the graph's scale.
+
+    share: (R,) see `FrameGraph._shares`. rows, columns: where their blocks stand in the information of frames 1 to n,
+    entry by entry; free: which entries, frame 0 being known.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    pose: np.ndarray
+    information: np.ndarray
+    share: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    free: np.ndarray
+
+
 CAUCHY = 12.0  # squared distance at which a relation has half its weight: one in a hundred is beyond
 
 
@@ -75,35 +92,57 @@ class FrameGraph:
         """
         if len(self.frames) < 2:
             return
+        measured = self._measured()
         for _ in range(rounds):
-            rows, columns, values, right = self._normal(independent=True, robust=robust)
-            step = spread_of(rows, columns, values, len(right)).solve(right).reshape(-1, 3)
+            values, right = self._normal(measured, independent=True, robust=robust)
+            step = spread_of(measured.rows, measured.columns, values, len(right)).solve(right).reshape(-1, 3)
             self.frames[1:] += step
             self.frames[:, 2] = wrap(self.frames[:, 2])
             if np.abs(step).max(initial=0.0) < tolerance:
                 break
         self._spread = None
 
-    def _linearised(self) -> tuple[np.ndarray, ...]:
+    def _measured(self) -> _Measured:
         first = np.array([r.first for r in self.relations], dtype=np.int64)
         second = np.array([r.second for r in self.relations], dtype=np.int64)
-        measured = np.array([r.pose for r in self.relations]).reshape(-1, 3)
-        information = np.array([r.information for r in self.relations]).reshape(-1, 3, 3) / self.scale
-        a, b = self.frames[first], self.frames[second]
+        rows, columns = [], []
+        for p in (first, second):
+            for q in (first, second):
+                there = np.broadcast_arrays(_entries(p)[:, :, None], _entries(q)[:, None, :])
+                rows.append(there[0].ravel())
+                columns.append(there[1].ravel())
+        down, across = np.concatenate(rows) - 3, np.concatenate(columns) - 3
+        free = (down >= 0) & (across >= 0)
+        return _Measured(
+            first,
+            second,
+            np.array([r.pose for r in self.relations]).reshape(-1, 3),
+            np.array([r.information for r in self.relations]).reshape(-1, 3, 3) / self.scale,
+            self._shares(first, second),
+            down[free],
+            across[free],
+            free,
+        )
+
+    def _linearised(self, measured: _Measured) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals (R, 3) and their derivatives by the first and the second frames (R, 3, 3)."""
+        a, b = self.frames[measured.first], self.frames[measured.second]
         way = rotate(-a[:, 2], b[:, :2] - a[:, :2])
-        residual = np.column_stack([way - measured[:, :2], wrap(b[:, 2] - a[:, 2] - measured[:, 2])])
+        off = measured.pose
+        residual = np.column_stack([way - off[:, :2], wrap(b[:, 2] - a[:, 2] - off[:, 2])])
         c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-        by_second = np.zeros((len(first), 3, 3))
+        by_second = np.zeros((len(a), 3, 3))
         by_second[:, 0, 0], by_second[:, 0, 1], by_second[:, 1, 0], by_second[:, 1, 1] = c, s, -s, c
         by_second[:, 2, 2] = 1.0
         by_first = -by_second
         by_first[:, 0, 2], by_first[:, 1, 2] = way[:, 1], -way[:, 0]
-        return first, second, residual, information, by_first, by_second
+        return residual, by_first, by_second
 
     def distances(self) -> np.ndarray:
         """(R,) squared Mahalanobis distance of every relation from where the frames are, each by itself."""
-        _, _, residual, information, _, _ = self._linearised()
-        return np.einsum("ri,rij,rj->r", residual, information, residual)
+        measured = self._measured()
+        residual, _, _ = self._linearised(measured)
+        return np.einsum("ri,rij,rj->r", residual, measured.information, residual)
 
     def _shares(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """(R,) weights by which loops that rest on one map's samples count as one together.
@@ -117,40 +156,29 @@ class FrameGraph:
         return np.where(far, 1.0 / np.maximum(1, np.maximum(used[first], used[second])), 1.0)
 
     def _normal(
-        self, independent: bool, robust: bool = True
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Normal equations of all frames but the first: triplets of the matrix, which add up, and the right side."""
-        first, second, residual, information, by_first, by_second = self._linearised()
-        squared = np.einsum("ri,rij,rj->r", residual, information, residual)
+        self, measured: _Measured, independent: bool, robust: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations of all frames but the first: the matrix's entries, which add up, and the right side."""
+        residual, by_first, by_second = self._linearised(measured)
+        squared = np.einsum("ri,rij,rj->r", residual, measured.information, residual)
         weight = 1.0 / (1.0 + squared / CAUCHY) if robust else np.ones(len(squared))
         if not independent:
-            weight *= self._shares(first, second)
-        weighed = information * weight[:, None, None]
-        right, offsets = np.zeros(3 * len(self.frames)), np.arange(3)
-        triplets = []
-        for p, by_p in ((first, by_first), (second, by_second)):
-            rows = 3 * p[:, None] + offsets
+            weight *= measured.share
+        weighed = measured.information * weight[:, None, None]
+        right = np.zeros(3 * len(self.frames))
+        blocks = []
+        for p, by_p in ((measured.first, by_first), (measured.second, by_second)):
             half = np.swapaxes(by_p, 1, 2) @ weighed
-            np.subtract.at(right, rows, np.einsum("rij,rj->ri", half, residual))
-            for q, by_q in ((first, by_first), (second, by_second)):
-                columns = 3 * q[:, None] + offsets
-                block = half @ by_q
-                there = np.broadcast_arrays(rows[:, :, None], columns[:, None, :], block)
-                triplets.append(np.array([each.ravel() for each in there]))
-        rows_all, columns_all, values = np.concatenate(triplets, axis=1)
-        free = (rows_all >= 3) & (columns_all >= 3)
-        return (
-            rows_all[free].astype(np.int64) - 3,
-            columns_all[free].astype(np.int64) - 3,
-            values[free],
-            right[3:],
-        )
+            np.subtract.at(right, _entries(p), np.einsum("rij,rj->ri", half, residual))
+            blocks += [(half @ by_first).ravel(), (half @ by_second).ravel()]
+        return np.concatenate(blocks)[measured.free], right[3:]
 
     def spread(self) -> Spread:
         """The covariance of the frames, of which there must be two at least."""
         if self._spread is None:
-            rows, columns, values, right = self._normal(independent=False)
-            self._spread = spread_of(rows, columns, values, len(right))
+            measured = self._measured()
+            values, right = self._normal(measured, independent=False)
+            self._spread = spread_of(measured.rows, measured.columns, values, len(right))
         return self._spread
 
     def own_covariances(self) -> np.ndarray:
@@ -181,6 +209,11 @@ class FrameGraph:
             block[:3, 3:] = spread.block(first, second)
             block[3:, :3] = block[:3, 3:].T
         return np.array([way[0], way[1], float(wrap(b[2] - a[2]))]), design @ block @ design.T
+
+
+def _entries(frames: np.ndarray) -> np.ndarray:
+    """(R, 3), where the numbers of frames (R,) stand in those of all."""
+    return 3 * frames[:, None] + np.arange(3)
 
 
 def beside_the_end(end: np.ndarray, found: np.ndarray, with_end: np.ndarray) -> np.ndarray:
