@@ -203,13 +203,11 @@ class Loops:
         """Look for the map among all earlier ones but those that were looked at, the surest places first; then ask
         those that were not believed."""
         doubted: list[Glimpse] = []
-        while True:
-            waiting = [each for each in self._near(number) if each not in looked]
-            at = [self._looseness(each, number) for each in waiting]
-            if not np.isfinite(min(at, default=np.inf)):
-                break
-            first = waiting[int(np.argmin(at))]
+        waiting = self._waiting(number, looked)
+        while waiting:
+            first = min(waiting, key=waiting.__getitem__)
             looked.add(first)
+            del waiting[first]
             verdict = self._lay(first, number)
             if verdict is None:
                 continue
@@ -217,9 +215,16 @@ class Loops:
                 self._misfits.append(min(_misfit(verdict.found, self.maps[first]), FARTHEST_MISFIT))
                 self.graph.rescale(self.scale)
             doubted += self._settled(first, number, verdict)
+            if number == first + 1 or verdict.why is None:  # the graph says something else now
+                waiting = self._waiting(number, looked)
         self._vote(doubted)
         if any(contradicts_drive(self.open.get(each.pair, "")) for each in doubted):
             self._reconsider()
+
+    def _waiting(self, number: int, looked: set[int]) -> dict[int, float]:
+        """The earlier maps that a map may be laid on and was not, with how unsure its place is on each, in m."""
+        loose = {first: self._looseness(first, number) for first in self._near(number) if first not in looked}
+        return {first: spread for first, spread in loose.items() if np.isfinite(spread)}
 
     def _settled(self, first: int, second: int, verdict: Verdict) -> list[Glimpse]:
         """Believe a place, or leave it open. Returns it if only the drive stands against it, else nothing."""
