@@ -34,15 +34,18 @@ def moved_by_scales(scales: np.ndarray, lever: np.ndarray, last: np.ndarray, pos
     scaled. last, pose: (3,) at the last scan and at this one, by the scans. A turn's share of the place is that of an
     even arc.
     """
-    ax, ay = _turned(lever, float(pose[2]))
-    bx, by = _turned(lever, float(last[2]))
-    x, y = float(pose[0]) + ax - float(last[0]) - bx, float(pose[1]) + ay - float(last[1]) - by
+    x, y, heading = pose.tolist()
+    last_x, last_y, last_heading = last.tolist()
+    ax, ay = _turned(lever, heading)
+    bx, by = _turned(lever, last_heading)
+    x, y = x + ax - last_x - bx, y + ay - last_y - by
     _, way, turned = (1.0 / factors(scales)).tolist()
-    turn = turned * math.remainder(float(pose[2] - last[2]), 2.0 * math.pi)
+    turn = turned * math.remainder(heading - last_heading, 2.0 * math.pi)
     return np.array([[way * x, way * y, 0.0], [turn * (ay - 0.5 * y), turn * (0.5 * x - ax), turn]])
 
 
 def _turned(lever: np.ndarray, heading: float) -> tuple[float, float]:
     """A point in the vehicle's frame, turned into the map's. In floats: it is asked for at every event."""
     c, s = math.cos(heading), math.sin(heading)
-    return c * float(lever[0]) - s * float(lever[1]), s * float(lever[0]) + c * float(lever[1])
+    x, y = lever.tolist()
+    return c * x - s * y, s * x + c * y
