@@ -138,9 +138,11 @@ def _of_directions(closed: ClosedMap, segments: np.ndarray) -> np.ndarray:
     """(M,) rad^2, variances of the directions of segments (M,), by the map's own covariance."""
     ends = closed.shape.segments[segments]
     length = np.hypot(*(ends[:, 2:] - ends[:, :2]).T)
-    weights = np.column_stack([-1.0 / length, 1.0 / length])
-    of_map = _points(closed, segments, weights, closed.shape.normals[segments]).covariance()
-    return np.asarray(np.maximum(LEAST_SLOPE**2, np.diagonal(of_map)))
+    across = closed.shape.normals[segments] / length[:, None]
+    entries = (3 + 2 * closed.shape.pairs[segments][:, :, None] + np.arange(2)).reshape(-1, 4)
+    own = closed.covariance[entries[:, :, None], entries[:, None, :]]
+    rows = np.column_stack([-across, across])
+    return np.asarray(np.maximum(LEAST_SLOPE**2, np.einsum("mi,mij,mj->m", rows, own, rows)))
 
 
 class _Read(msgspec.Struct, frozen=True):
