@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -38,14 +39,18 @@ def spread_of(rows: np.ndarray, columns: np.ndarray, values: np.ndarray, count: 
 
 
 class Dense:
-    """By a full inverse."""
+    """By a full inverse, once a covariance is asked for: to solve takes a quarter of its time."""
 
     def __init__(self, information: np.ndarray) -> None:
-        self._covariance = np.linalg.inv(information)
+        self._information = information
+
+    @cached_property
+    def _covariance(self) -> np.ndarray:
+        return np.linalg.inv(self._information)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """See `Spread`."""
-        return np.asarray(self._covariance @ right)
+        return np.linalg.solve(self._information, right)
 
     def block(self, first: int, second: int) -> np.ndarray:
         """See `Spread`."""
