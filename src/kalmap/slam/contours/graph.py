@@ -196,19 +196,29 @@ class FrameGraph:
 
     def between(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
         """T_first_second (3,) as it is thought to be, and its covariance (3, 3)."""
+        poses, covariances = self.from_each([first], second)
+        return poses[0], covariances[0]
+
+    def from_each(self, first: list[int], second: int) -> tuple[np.ndarray, np.ndarray]:
+        """T_first_second (K, 3) from each of K frames to one, and their covariances (K, 3, 3)."""
         a, b = self.frames[first], self.frames[second]
-        way = rotate(-a[2], b[:2] - a[:2])
-        c, s = np.cos(a[2]), np.sin(a[2])
-        design = np.zeros((3, 6))
-        design[:2, :2], design[:2, 3:5] = [[-c, -s], [s, -c]], [[c, s], [-s, c]]
-        design[0, 2], design[1, 2], design[2, 2], design[2, 5] = way[1], -way[0], -1.0, 1.0
-        block = np.zeros((6, 6))
-        if first != second:
+        way = rotate(-a[:, 2], b[:2] - a[:, :2])
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        design = np.zeros((len(a), 3, 6))
+        design[:, 0, 0], design[:, 0, 1], design[:, 1, 0], design[:, 1, 1] = -c, -s, s, -c
+        design[:, :2, 3:5] = -design[:, :2, :2]
+        design[:, 0, 2], design[:, 1, 2] = way[:, 1], -way[:, 0]
+        design[:, 2, 2], design[:, 2, 5] = -1.0, 1.0
+        block = np.zeros((len(a), 6, 6))
+        for row, frame in enumerate(first):
+            if frame == second:
+                continue
             spread = self.spread()
-            block[:3, :3], block[3:, 3:] = spread.block(first, first), spread.block(second, second)
-            block[:3, 3:] = spread.block(first, second)
-            block[3:, :3] = block[:3, 3:].T
-        return np.array([way[0], way[1], float(wrap(b[2] - a[2]))]), design @ block @ design.T
+            across = spread.block(frame, second)
+            block[row, :3, :3], block[row, 3:, 3:] = spread.block(frame, frame), spread.block(second, second)
+            block[row, :3, 3:], block[row, 3:, :3] = across, across.T
+        poses = np.column_stack([way, wrap(b[2] - a[:, 2])])
+        return poses, design @ block @ np.swapaxes(design, 1, 2)
 
 
 def _entries(frames: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 
 import numpy as np
 
@@ -141,8 +141,8 @@ class Loops:
         }
         relations = [relation for relation in self.graph.relations if not relation.loop]
         for second in range(len(self.maps)):
-            for first in self._near(second):
-                if (first, second) in self.open or not np.isfinite(self._looseness(first, second)):
+            for first in self._loose(second):
+                if (first, second) in self.open:
                     continue
                 guess, covariance = self.graph.between(first, second)
                 found = overlay(self.maps[first], self.maps[second], guess)
@@ -155,14 +155,8 @@ class Loops:
 
     def _lost(self, number: int) -> np.ndarray:
         """The earlier maps on which the drive does not know the place of a map within what is searched about it."""
-        return np.array(
-            [
-                first
-                for first in range(max(0, number - RECENT))
-                if _is_lost(self.graph.between(first, number)[1])
-            ],
-            dtype=np.int64,
-        )
+        earlier = list(range(max(0, number - RECENT)))
+        return np.flatnonzero(_are_lost(self.graph.from_each(earlier, number)[1]))
 
     def _related(self, number: int) -> set[int]:
         """The earlier maps that a map is tied to, and the one before it."""
@@ -203,7 +197,7 @@ class Loops:
         """Look for the map among all earlier ones but those that were looked at, the surest places first; then ask
         those that were not believed."""
         doubted: list[Glimpse] = []
-        waiting = self._waiting(number, looked)
+        waiting = self._loose(number, looked)
         while waiting:
             first = min(waiting, key=waiting.__getitem__)
             looked.add(first)
@@ -216,15 +210,10 @@ class Loops:
                 self.graph.rescale(self.scale)
             doubted += self._settled(first, number, verdict)
             if number == first + 1 or verdict.why is None:  # the graph says something else now
-                waiting = self._waiting(number, looked)
+                waiting = self._loose(number, looked)
         self._vote(doubted)
         if any(contradicts_drive(self.open.get(each.pair, "")) for each in doubted):
             self._reconsider()
-
-    def _waiting(self, number: int, looked: set[int]) -> dict[int, float]:
-        """The earlier maps that a map may be laid on and was not, with how unsure its place is on each, in m."""
-        loose = {first: self._looseness(first, number) for first in self._near(number) if first not in looked}
-        return {first: spread for first, spread in loose.items() if np.isfinite(spread)}
 
     def _settled(self, first: int, second: int, verdict: Verdict) -> list[Glimpse]:
         """Believe a place, or leave it open. Returns it if only the drive stands against it, else nothing."""
@@ -317,20 +306,26 @@ class Loops:
         apart = np.hypot(*(centres[:second] - centres[second]).T)
         return np.flatnonzero(apart <= radii[:second] + radii[second] + WIDEST).tolist()
 
-    def _looseness(self, first: int, second: int) -> float:
-        """How unsure the place of one map on the other is, in m.
+    def _loose(self, second: int, looked: Set[int] = frozenset()) -> dict[int, float]:
+        """The earlier maps that a map may be laid on, but those that were looked at: how unsure its place is, in m.
 
-        Infinite where they cannot touch, and where it is more than is searched: what is found may be elsewhere, too.
+        Those are left out that it cannot touch, and on which it may be farther off than is searched: what is found may
+        be elsewhere, too.
         """
-        pose, covariance = self.graph.between(first, second)
-        if _is_lost(covariance):
-            return np.inf
-        a, b = self.maps[first].shape, self.maps[second].shape
-        spread = 3.0 * float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
-        centre = pose[:2] + rotate(pose[2], b.centre)
-        if np.hypot(*(centre - a.centre)) > a.radius + b.radius + min(spread, WIDEST) - 2.0:
-            return np.inf
-        return spread
+        near = [first for first in self._near(second) if first not in looked]
+        poses, covariances = self.graph.from_each(near, second)
+        b = self.maps[second].shape
+        spreads = 3.0 * np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
+        centres = poses[:, :2] + rotate(poses[:, 2], b.centre)
+        loose = {}
+        for first, lost, spread, centre in zip(
+            near, _are_lost(covariances), spreads.tolist(), centres, strict=True
+        ):
+            a = self.maps[first].shape
+            apart = np.hypot(*(centre - a.centre))
+            if not lost and apart <= a.radius + b.radius + min(spread, WIDEST) - 2.0:
+                loose[first] = spread
+        return loose
 
     def _lay(self, first: int, second: int) -> Verdict | None:
         """The best place of one map on another, and whether it is believed; None if there is none."""
@@ -347,10 +342,10 @@ class Loops:
         return judged(overlays, guess, covariance, self.scale, following=second == first + 1)
 
 
-def _is_lost(covariance: np.ndarray) -> bool:
-    """Whether a place (3, 3) may be farther off than is searched."""
-    wide = 9.0 * max(covariance[0, 0], covariance[1, 1]) > WIDEST**2
-    return bool(wide or 9.0 * covariance[2, 2] > FARTHEST_TURN**2)
+def _are_lost(covariances: np.ndarray) -> np.ndarray:
+    """(K,) whether places (K, 3, 3) may be farther off than is searched."""
+    wide = 9.0 * np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > WIDEST**2
+    return np.asarray(wide | (9.0 * covariances[:, 2, 2] > FARTHEST_TURN**2))
 
 
 def _misfit(found: Overlay, last: ClosedMap) -> float:
