@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from kalmap.records import (
     Scan,
     SensorConfig,
     Sightings,
+    Sweeps,
 )
 from kalmap.slam.checks import check_odometry, check_scan, check_time, checked_start
 from kalmap.slam.contours import wheels
@@ -281,13 +283,17 @@ class ContourSlam:
         contours = whole_contours(loops.maps, frames, covariances, self.settings.spacing, self._enough())
         rules, calibration = self.rules, self._live.calibration.mean
 
+        @cache  # the map is judged by them, and the grid drawn
+        def sweeps() -> Sweeps:
+            return whole_sweeps(legs, frames, rules, calibration)
+
         def joint() -> tuple[np.ndarray, np.ndarray]:
             raise JointTooLargeError("contours of several local maps have covariances of their own only")
 
         return Estimate(
             time=self._time, pose=pose, covariance=covariance, landmarks=_no_landmarks(), biases={}, joint=joint,
             coordinates=self.coordinates, contours=contours, trajectory=trajectory,
-            sweeps=lambda: whole_sweeps(legs, frames, rules, calibration),
+            sweeps=sweeps,
             counts=self._counts(loops) | holding(legs, frames),
         )  # fmt: skip
 
