@@ -373,6 +373,8 @@ class LiveMap:
     def _retire(self) -> None:
         """Marginalise out the samples that scans look through: what stood there is gone, or never stood still."""
         gone = np.flatnonzero((self.open >= OPEN_SCANS) & (self.open > self.sightings))
+        if not len(gone):
+            return
         for row in gone[::-1]:
             self.belief.remove(state.SAMPLES + 2 * int(row), 2)
         self.normals = np.delete(self.normals, gone, axis=0)
