@@ -18,7 +18,7 @@ from kalmap.simulate.floor_run import simulate_floor
 from kalmap.simulate.floors import standstill, straight_corridor
 from kalmap.simulate.raycast import SICK_180, cast
 from kalmap.simulate.rooms import rooms_world
-from kalmap.slam.contours.live import LiveMap
+from kalmap.slam.contours.live import LiveMap, _reach
 from kalmap.slam.contours.seen import prepare
 from made_maps import room
 
@@ -277,3 +277,11 @@ def test_at_standstill_nothing_grows():
     assert len(counts) > 250 and counts[-1] <= 1.3 * counts[5]
     assert spreads[-1] <= spreads[0] and np.isfinite(spreads).all()
     assert np.hypot(*live.pose[:2]) < 0.02 and abs(live.pose[2]) < 0.01
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 11, 180])
+def test_nine_in_ten_points_lie_within_reach(count):
+    """Oracle: np.percentile."""
+    points = np.random.default_rng(count).normal(0.0, 5.0, (count, 2))
+    assert _reach(points) == pytest.approx(np.percentile(np.hypot(*points.T), 90.0), rel=1e-14)
+    assert _reach(points[:0]) == 0.0

@@ -161,6 +161,18 @@ def test_between(first, second):
     assert np.allclose(covariance, expected, rtol=1e-4, atol=1e-10)
 
 
+def test_from_each_is_between_one_by_one():
+    """The frame itself and the first one, which is known, among them; and of no frame at all."""
+    graph, _ = ring(np.random.default_rng(2))
+    graph.solve()
+    poses, covariances = graph.from_each([0, 3, 5, 7], 5)
+    for row, first in enumerate((0, 3, 5, 7)):
+        pose, covariance = graph.between(first, 5)
+        assert np.array_equal(poses[row], pose) and np.array_equal(covariances[row], covariance)
+    nowhere, unknown = graph.from_each([], 5)
+    assert nowhere.shape == (0, 3) and unknown.shape == (0, 3, 3)
+
+
 def test_the_covariance_of_a_solved_ring_is_honest():
     """Oracle: Monte Carlo, mean NEES of the last frame over 200 rings within its 99.9 % band about 3."""
     values = []

@@ -30,3 +30,13 @@ def test_wrap_at_the_seam():
 
 def test_wrap_has_no_direction_for_what_is_not_finite():
     assert np.isnan(wrap([np.nan, np.inf, -np.inf])).all()
+
+
+def test_wrap_hands_out_its_own_array_and_a_scalar_as_an_array():
+    """What is done to the answer must not change the angle that was handed in."""
+    angle = np.array([0.1, -3.0, 2.0])
+    wrap(angle)[:] = 9.0
+    assert (angle == [0.1, -3.0, 2.0]).all()
+    for each in (0.5, np.float64(4.0), np.array(0.5)):
+        assert isinstance(wrap(each), np.ndarray)
+        assert wrap(each).shape == ()
