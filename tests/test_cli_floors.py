@@ -54,5 +54,15 @@ def test_a_floor_can_be_checked():
 
 def test_help_names_the_floors():
     text = " ".join(CliRunner().invoke(kalmap, ["run", "--help"]).output.split())
-    for name in ("floor-115", "floor-170", "office", "hall", "corridor", "crowd", "standstill", "rooms-N"):
+    for name in (
+        "floor-115",
+        "floor-170",
+        "office",
+        "hall",
+        "lab",
+        "corridor",
+        "crowd",
+        "standstill",
+        "rooms-N",
+    ):
         assert name in text

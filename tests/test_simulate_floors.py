@@ -21,6 +21,7 @@ FLOORS = [
     "floor-170",
     "office",
     "hall",
+    "lab",
     "corridor",
     "crowd",
     "standstill",

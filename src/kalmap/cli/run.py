@@ -35,7 +35,7 @@ def command(log: str, out: Path | None, **given: Any) -> None:
     course-N, same-N, wide-N, lawn-N; or one made to break association: djnn-N (N movers), clutter-N, missed-35,
     doubles-35, orchard, clusters, breaker, grove (laser scans); or one for random finite sets: phd-N (clutter N),
     field-160, rfs-99-0, rfs-90-1, rfs-70-6, rfs-50-13, missed-50, clutter-20-70, faded-35, restless-35;
-    or a floor for maps from raw scans: floor-115, floor-170, office, hall, corridor, crowd, standstill, rooms-N.
+    or a floor for maps from raw scans: floor-115, floor-170, office, hall, lab, corridor, crowd, standstill, rooms-N.
     """
     if given["robot"] == "all":
         _every_robot(log, out, given)

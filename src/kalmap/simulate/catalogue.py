@@ -28,7 +28,7 @@ from kalmap.simulate.courses import (
     wide_world,
 )
 from kalmap.simulate.floor import FloorWorld
-from kalmap.simulate.floors import crowd, floor_115, floor_170, hall, standstill, straight_corridor
+from kalmap.simulate.floors import crowd, floor_115, floor_170, hall, lab, standstill, straight_corridor
 from kalmap.simulate.rooms import office, rooms_world
 from kalmap.simulate.set_worlds import (
     RFS_CLUTTER_AREA,
@@ -83,6 +83,7 @@ _FLOORS: dict[str, Callable[[], FloorWorld]] = {
     "floor-170": floor_170,
     "office": office,
     "hall": hall,
+    "lab": lab,
     "corridor": straight_corridor,
     "crowd": crowd,
     "standstill": standstill,
@@ -121,7 +122,8 @@ def world_by_name(name: str, maps: Maps | None = None) -> World | FloorWorld:
 
     Floors, driven by a robot with two wheels and a laser scanner, told in `floors` and `rooms`: `floor-115` and
     `floor-170` (the kind of Sun et al. 2010: 115 m, two loops; 170 m, one loop; URG-04LX), `office` (SICK, 12 rooms,
-    300 m), `hall` (curved walls, round columns), `corridor` (nothing tells how far one is), `crowd` (40 people),
+    300 m), `hall` (curved walls, round columns), `lab` (tables and shelves, hardly any contour), `corridor` (nothing
+    tells how far one is), `crowd` (40 people),
     `standstill` (never moves); and `rooms-<N>`, a floor of N rooms, of which `rooms-<N>-<M>` is the M-th.
 
     maps: given a map's name ("example_webmap") returns its landmarks (N, 2) and way-points (K, 2);

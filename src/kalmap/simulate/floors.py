@@ -110,6 +110,38 @@ def hall(*, name: str = "hall", **overrides: Any) -> FloorWorld:
     return finished(name, walls, way, areas, (np.array(ring), np.array(inside[:-1])), overrides, columns)
 
 
+def lab(*, name: str = "lab", **overrides: Any) -> FloorWorld:
+    """A room of 15 m x 15 m full of tables and chairs, along its walls shelves whose fronts are broken every few
+    decimetres: hardly any contour, and hundreds of thin things. The robot drives through all of its aisles."""
+    rng, low, high = map_stream(22, 15), 0.0, 15.0
+    box: Box = (low, low, high, high)
+    plan = Plan([box])
+    for side in range(4):
+        at = 0.8
+        while at < high - 0.8:
+            length, depth, there = rng.uniform(0.1, 0.5), rng.uniform(0.05, 0.45), rng.random() < 0.7
+            far, near = (high - depth, high) if side % 2 else (low, low + depth)
+            piece = (at, near, at + length, far) if side < 2 else (near, at, far, at + length)
+            if there:
+                x0, y0, x1, y1 = np.round(piece, 3).tolist()
+                plan.solid.append((min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)))
+            at += length
+    for x in (2.6, 8.1):
+        for y in (2.6, 6.1, 9.6):
+            plan.areas.append((x, y, x + 4.3, y + 2.4, 6.0))
+    way: list[Point] = [
+        (7.5, 1.6),
+        (13.4, 1.6),
+        (13.4, 13.2),
+        (1.6, 13.2),
+        (1.6, 5.5),
+        (7.5, 5.5),
+        (7.5, 9.1),
+    ]
+    way += [(13.4, 9.1), (13.4, 5.5), (7.5, 5.5), (7.5, 1.6), (1.6, 1.6), (1.6, 9.1), (6.5, 9.1)]
+    return finished(name, plan.walls(), way, plan.areas, (), overrides)
+
+
 def straight_corridor(*, name: str = "corridor", **overrides: Any) -> FloorWorld:
     """Two bare parallel walls of 100 m, and a drive of 60 m along the middle: no end is ever within the URG's range,
     so that nothing in a scan tells how far the robot has come."""
