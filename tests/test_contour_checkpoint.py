@@ -152,7 +152,8 @@ def test_a_run_that_estimates_a_latency_resumes_as_well(log, events, ends, tmp_p
 def test_everything_that_is_known_is_saved():
     """Whoever gives these classes a field must save it: the fields as they were when the format was made."""
     log = block_log()
-    assert set(vars(Loops())) == {"maps", "graph", "open", "searched", "wider", "_misfits"}
+    # the witness is of the legs, and given anew whenever something is asked
+    assert set(vars(Loops())) == {"maps", "graph", "open", "searched", "wider", "witness", "_misfits"}
     assert set(vars(Wider())) == {"glimpses", "_signatures"}  # these are made of the maps anew
     assert set(vars(FrameGraph())) == {
         "frames",

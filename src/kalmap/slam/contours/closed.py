@@ -112,6 +112,11 @@ class Shape(msgspec.Struct, frozen=True, eq=False, dict=True):
             distance,
         )
 
+    @property
+    def length(self) -> float:
+        """m of contour."""
+        return DENSE * len(self.points)
+
     @cached_property
     def levels(self) -> np.ndarray:
         """(L, D, H, W) uint8, see `kalmap.kernels.correlate.fill_levels`."""

@@ -50,13 +50,18 @@ class OpenLeg:
         )
 
 
+def turned_by(heading: float) -> np.ndarray:
+    """(3, 3) turn of a pose's error."""
+    c, s = np.cos(heading), np.sin(heading)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def composed(
     T_map_a: np.ndarray, covariance_a: np.ndarray, T_a_b: np.ndarray, covariance_b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """T_map_b and its covariance, a and b being independent; T_a_b (..., 3), covariance_b (..., 3, 3) may be many."""
     pose = compose(T_map_a, T_a_b)
-    c, s = np.cos(T_map_a[2]), np.sin(T_map_a[2])
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = turned_by(T_map_a[2])
     lever = np.empty(covariance_b.shape)
     lever[:] = np.eye(3)
     lever[..., 0, 2] = -(pose[..., 1] - T_map_a[1])

@@ -33,6 +33,7 @@ MOST_TRIED = 10  # of the places that are doubted
 WIDEST, FARTHEST_TURN = 8.0, 0.7  # m and rad, the largest search
 FARTHEST_MISFIT = 30.0  # as much as one pair of maps counts in the errors' scale
 PRIOR_SCALE, PRIOR_COUNT = 2.0, 3  # of the errors' scale, before maps have been seen
+SPARSE = 20.0  # m of contour: maps with less are laid by the single points of their scans, too
 BENT = 1.5  # how much wider errors are than shows where maps follow each other, in variance: both bend alike there
 
 
@@ -49,6 +50,7 @@ class Loops:
         self.open: dict[tuple[int, int], str] = {}
         self.searched = 0
         self.wider = Wider()
+        self.witness: Witness | None = None
         self._misfits: list[float] = []
         self.graph.rescale(self.scale)
 
@@ -57,7 +59,7 @@ class Loops:
         other = Loops()
         other.maps, other.graph, other.open = list(self.maps), self.graph.copy(), dict(self.open)
         other.searched, other._misfits = self.searched, list(self._misfits)
-        other.wider = self.wider.copy()
+        other.wider, other.witness = self.wider.copy(), self.witness
         return other
 
     def close(self, closed: ClosedMap, witness: Witness | None = None) -> None:
@@ -74,6 +76,7 @@ class Loops:
 
     def seek(self, witness: Witness | None = None) -> None:
         """Look for the newest map among all others. witness: the scans behind all maps, if there are any."""
+        self.witness = witness
         number = len(self.maps) - 1
         self._seek(number, set())
         self.wider.look(self.maps, number, self._lost(number), witness)
@@ -111,8 +114,9 @@ class Loops:
         """(n, 3, 3) of every frame of the graph, as they are handed out."""
         return BENT * self.graph.own_covariances()
 
-    def finish(self) -> None:
+    def finish(self, witness: Witness | None = None) -> None:
         """Ask once more for what was left open, and lay all maps on each other where they are thought to be now."""
+        self.witness = witness
         self._reconsider(everything=True)
         self._relay()
         self.graph.solve(30)
@@ -205,7 +209,9 @@ class Loops:
             verdict = self._lay(first, number)
             if verdict is None:
                 continue
-            if number == first + 1:
+            if (
+                number == first + 1 and verdict.found.freedom
+            ):  # not of points: these say little of how maps bend
                 self._misfits.append(min(_misfit(verdict.found, self.maps[first]), FARTHEST_MISFIT))
                 self.graph.rescale(self.scale)
             doubted += self._settled(first, number, verdict)
@@ -339,7 +345,12 @@ class Loops:
             places += search(a, b, guess, half, turn)
         overlays = [each for place in places if (each := overlay(a, b, place)) is not None]
         overlays.sort(key=lambda each: -each.matched * each.agreement)
-        return judged(overlays, guess, covariance, self.scale, following=second == first + 1)
+        following = second == first + 1
+        verdict = judged(overlays, guess, covariance, self.scale, following=following)
+        if verdict is None and self.witness is not None and min(a.shape.length, b.shape.length) < SPARSE:
+            end = a.end_covariance + FLOOR if following else None
+            return self.witness.by_points(first, second, (guess, covariance, self.scale), (half, turn), end)
+        return verdict
 
 
 def _are_lost(covariances: np.ndarray) -> np.ndarray:

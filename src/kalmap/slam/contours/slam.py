@@ -272,8 +272,10 @@ class ContourSlam:
         loops, legs = joined.loops.copy(), list(joined.legs)
         if self._live.scans:
             legs.append(relaid(self._live, self._leg.leg()))
-            loops.close(closed(self._live), Witness(legs, self.rules))
-        loops.finish()
+        witness = Witness(legs, self.rules)
+        if self._live.scans:
+            loops.close(closed(self._live), witness)
+        loops.finish(witness)
         frames, covariances = self._placed(loops)
         trajectory = whole_trajectory(legs, frames, covariances)
         frame, spread = (

@@ -8,13 +8,16 @@ import numpy as np
 
 from kalmap.geometry.se2 import compose, inverse
 from kalmap.kernels import contour as kernel
+from kalmap.slam.contours.belief import LEAST_THINGS, POINTS, Verdict, judged
 from kalmap.slam.contours.closed import ENOUGH, ClosedMap
 from kalmap.slam.contours.leg import Leg
 from kalmap.slam.contours.seen import Rules, Seen, prepare
+from kalmap.slam.contours.sketch import Sketch, drawn, laid
 
 SCANS = 8  # of a map, spread over its leg, that are asked
 LIMIT = 0.15  # m, how far a sample may lie from what the scan shows
-KEPT = 64  # maps whose scans stay cut
+KEPT = 64  # maps whose scans stay cut, or drawn
+FARTHEST = 3.0, 0.5  # m and rad about where the drive has a map, that are searched by points
 ASKED = 40  # samples, least that must be answered for
 
 
@@ -29,6 +32,7 @@ class Witness:
     def __init__(self, legs: Sequence[Leg], rules: Rules) -> None:
         self._legs, self._rules = legs, rules
         self._views: dict[int, list[tuple[np.ndarray, Seen]]] = {}
+        self._sketches: dict[int, Sketch | None] = {}
 
     def share(self, maps: Sequence[ClosedMap], first: int, second: int, pose: np.ndarray) -> float:
         """Of the samples that the scans of either map see or see through, with T_first_second `pose`, those seen.
@@ -38,6 +42,36 @@ class Witness:
         one = self._seen(maps[first], second, pose)
         other = self._seen(maps[second], first, inverse(pose))
         return min(one, other)
+
+    def by_points(
+        self,
+        first: int,
+        second: int,
+        drive: tuple[np.ndarray, np.ndarray, float],
+        reach: tuple[float, float],
+        end: np.ndarray | None,
+    ) -> Verdict | None:
+        """The verdict on the second map's place on the first by what scans saw point by point, see `sketch.laid`.
+
+        drive: where the drive has the map (3,), the covariance (3, 3) of that, and the scale of the maps' own. reach: m
+        and rad, how far around that is searched; beyond `FARTHEST` points are too much alike, and nothing is said.
+        """
+        if reach[0] > FARTHEST[0] or reach[1] > FARTHEST[1]:
+            return None
+        a, b = self._sketch(first), self._sketch(second)
+        if a is None or b is None:
+            return None
+        places = laid((a, self._legs[first]), (b, self._legs[second]), drive[0], *reach, end)
+        if not places or places[0].things < LEAST_THINGS:
+            return None
+        return judged([each.overlay for each in places], *drive, bar=POINTS, about=b.middle)
+
+    def _sketch(self, number: int) -> Sketch | None:
+        if number not in self._sketches:
+            if len(self._sketches) == KEPT:
+                del self._sketches[next(iter(self._sketches))]
+            self._sketches[number] = drawn(self._legs[number], self._rules)
+        return self._sketches[number]
 
     def _seen(self, closed: ClosedMap, by: int, pose: np.ndarray) -> float:
         rows = np.flatnonzero(closed.sightings >= ENOUGH)
