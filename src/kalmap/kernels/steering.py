@@ -2,10 +2,10 @@
 
 import math
 
-from numba import njit
+from kalmap.kernels.compiled import compiled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def steer_to(goal_x, goal_y, near, step, most_turn, limit, turn_per_sine, state, course):
     """Drive until the way-point is nearer than `near` m, from and in `state` (4,): x, y, heading, steering angle.
 

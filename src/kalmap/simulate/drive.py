@@ -47,7 +47,7 @@ def drive(world: World) -> Drive:
         while not reached:
             if left == 0:
                 raise KalmapError(_stuck(world, number))
-            steps, reached = steer_to(*goal, *rules, state, course[:left])  # type: ignore[call-arg]
+            steps, reached = steer_to(*goal, *rules, state, course[:left])
             left -= steps
             poses.frombytes(course[:steps, :3].tobytes())
             steerings.frombytes(course[:steps, 3].tobytes())
