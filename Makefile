@@ -3,10 +3,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # As many processes as cores, each with one thread for linear algebra; PARALLEL= runs the tests in one process.
-# Bytecode is written even where the environment forbids it: every process would compile all of the tests again.
 PARALLEL ?= -n logical --maxprocesses 8 --dist worksteal
-ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
+ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL)
+
+# Bytecode is written even where the environment forbids it: every process would compile all that it imports again.
+export PYTHONDONTWRITEBYTECODE :=
 
 # Short tests whose kernels take longest to compile. Those that `bench` compiles, too, come last.
 WARM := $(patsubst %,tests/test_%, \
@@ -27,7 +29,8 @@ $(VENV)/.ready: pyproject.toml src/kalmap/_version.py
 	@test -d $(VENV) || $(PYTHON) -m venv $(VENV) || { \
 	  echo "this Python cannot make environments; installing its venv package"; \
 	  apt-get update -q && apt-get install -y -q python3-venv && rm -rf $(VENV) && $(PYTHON) -m venv $(VENV); }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@# Most of what pip would compile to bytecode is never imported; the rest is compiled when it is.
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[dev]"
 	@touch $@
 
 demo: $(VENV)/.ready

@@ -10,13 +10,11 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
 COMMAND = [sys.executable, "-m", "kalmap"]
-CORES = 2
 HANGS = 600.0
 """s: longer than to compile everything for the first time on a core that several processes share."""
 
@@ -88,13 +86,6 @@ def kalmap_inside(*words: object) -> Answer:
 def kalmap_all_inside(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:
     """Several command lines by name, one after the other in this process."""
     return {name: kalmap_inside(*words) for name, words in calls.items()}
-
-
-def kalmap_all(calls: Mapping[str, Iterable[object]]) -> dict[str, Answer]:
-    """Several command lines by name, two at a time."""
-    with ThreadPoolExecutor(CORES) as pool:
-        answers = pool.map(lambda words: kalmap(*words), calls.values())
-        return dict(zip(calls, answers))
 
 
 def write_log(

@@ -12,8 +12,8 @@ import pytest
 from command import (
     ODOMETRY,
     SIGHTINGS,
-    kalmap,
     kalmap_all_inside,
+    kalmap_inside,
     manifest,
     start,
     times,
@@ -227,11 +227,11 @@ def test_compare_over_seeds_is_paired(tmp_path):
     def errors():  # world, method, seed and the errors, without the times that a run took
         return [row.split(",")[:7] for row in (tmp_path / "out" / "runs.csv").read_text().splitlines()]
 
-    answer = kalmap(*line, tmp_path / "out")
+    answer = kalmap_inside(*line, tmp_path / "out")
     assert (answer.code, answer.err) == (0, "") and "position_rmse_m" in answer.out and " p = " in answer.out
     first = errors()
     assert [row[1:3] for row in first[1:]] == [[name, seed] for name in ("ekf", "cr-cdkf") for seed in "12"]
-    assert kalmap(*line, tmp_path / "out", "--quiet") == (0, "", "")
+    assert kalmap_inside(*line, tmp_path / "out", "--quiet") == (0, "", "")
     assert errors() == first
 
 

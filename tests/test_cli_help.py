@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from command import COMMAND, environment, kalmap, kalmap_all
+from command import COMMAND, environment, kalmap, kalmap_all_inside
 from kalmap import __version__
 
 VERBS = ("demo", "run", "compare", "check", "reproduce")
@@ -62,7 +62,9 @@ def test_help_loads_nothing_that_takes_time():
 
 def test_every_verb_has_help_and_the_version_is_the_packages():
     """All helps come with code 0 and nothing on the error stream; the main one lists every verb."""
-    answers = kalmap_all({verb: [verb, "--help"] for verb in VERBS} | {"": ["--help"], "v": ["--version"]})
+    answers = kalmap_all_inside(
+        {verb: [verb, "--help"] for verb in VERBS} | {"": ["--help"], "v": ["--version"]}
+    )
     assert all(answer.code == 0 and answer.err == "" for answer in answers.values())
     assert all(f"  {verb} " in answers[""].out for verb in VERBS)
     assert all(answers[verb].out.startswith(f"Usage: kalmap {verb} ") for verb in VERBS)
@@ -72,7 +74,7 @@ def test_every_verb_has_help_and_the_version_is_the_packages():
 
 @pytest.fixture(scope="module")
 def usage():
-    return kalmap_all({name: words for name, (words, _) in USAGE.items()})
+    return kalmap_all_inside({name: words for name, (words, _) in USAGE.items()})
 
 
 @pytest.mark.parametrize("name", USAGE)

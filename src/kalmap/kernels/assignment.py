@@ -1,9 +1,9 @@
 """Least-cost sets of tuples that share no item: connected components, and each solved as well as it needs."""
 
 import numpy as np
-from numba import njit
 
 from kalmap.kernels.branching import branch_and_bound
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.relaxation import exchange, relax, share_prices
 
 _SMALL = 32  # tuples up to which a component is searched before it is relaxed
@@ -12,7 +12,7 @@ _NODES = (300, 300)  # search nodes of each
 _ROUNDING = 1e-12  # share of the bound below which a gap is rounding
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _root(parent, item):
     """The item that stands for a component; halves the path on the way."""
     while parent[item] != item:
@@ -21,7 +21,7 @@ def _root(parent, item):
     return item
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def components(tuples, items):
     """Group tuples (T, S) of item numbers (-1 none) that share an item, directly or through others.
 
@@ -53,7 +53,7 @@ def components(tuples, items):
     return order, starts
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _renumber(tuples, members, number, local, first):
     """Write the members' items, numbered side by side from 0, into local (k, S) and first (S + 1,).
 
@@ -75,7 +75,7 @@ def _renumber(tuples, members, number, local, first):
                 number[tuples[members[k], s]] = -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _solve_one(tuples, costs, first, work, budget, tolerance, taken):
     """One component: relaxation and search in rounds of growing effort, the first without relaxation.
 
@@ -103,7 +103,7 @@ def _solve_one(tuples, costs, first, work, budget, tolerance, taken):
     return cost, cost if cost - bound <= rounding else bound, iterations, nodes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def solve_components(tuples, costs, items, work, budget, tolerance, chosen):
     """Choose tuples (T, S) of item numbers (-1 none) and negative costs (T,) that share no item; chosen (T,).
 

@@ -12,7 +12,8 @@ probabilities with belief propagation, 2014), exact where a cluster has no loop.
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 EXACT_SIDE = 10  # most members of the smaller side of a cluster that is summed exactly
 EXACT_PAIRS = 6  # the same, where the probability of each pair is asked for
@@ -22,7 +23,7 @@ _ROUNDS = 200
 _SETTLED = 1e-9
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def messages(odds, pairs, free):
     """Probability of every pair, pairs (M, F), and of every feature to stay alone, free (F,); returns ln Z (Bethe)."""
     count, features = odds.shape
@@ -71,7 +72,7 @@ def messages(odds, pairs, free):
     return log_sum
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _cluster(odds, start, of_sighting, of_feature, rows, columns):
     """The cluster around sighting `start`; marks its members and lists them. Returns (rows, columns) counts."""
     count, features = odds.shape
@@ -98,7 +99,7 @@ def _cluster(odds, start, of_sighting, of_feature, rows, columns):
     return n, m
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def clusters(odds):
     """The clusters of odds (M, F) that hold a pair, one after the other.
 
@@ -120,7 +121,7 @@ def clusters(odds):
     return rows, columns, row_edges[: found + 1], column_edges[: found + 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _oriented(odds, rows, columns, n, m):
     """A cluster's odds with its smaller side across: (outer, inner), sightings down if there are more of them."""
     turned = m < n
@@ -134,7 +135,7 @@ def _oriented(odds, rows, columns, n, m):
     return part
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _scaled(sums):
     """Divide by the greatest where the sums grow large; returns its logarithm, else zero."""
     most = sums.max()
@@ -144,7 +145,7 @@ def _scaled(sums):
     return math.log(most)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _join(sums, pair):
     """One more member of the outer side, with odds pair (inner,), takes a free member of the inner side or none."""
     for subset in range(len(sums) - 1, -1, -1):
@@ -157,7 +158,7 @@ def _join(sums, pair):
     return _scaled(sums)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _exact(part):
     """ln Z of a cluster of odds part (outer, inner), inner <= EXACT_SIDE: over subsets of the inner side."""
     sums = np.zeros(1 << part.shape[1])
@@ -168,7 +169,7 @@ def _exact(part):
     return scale + math.log(sums.sum())
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _exact_pairs(part, pairs, alone, alone_inside):
     """ln Z of a cluster, the probability of each pair (outer, inner) and of each member of a side to stay alone.
 
@@ -212,7 +213,7 @@ def _exact_pairs(part, pairs, alone, alone_inside):
     return log_sum
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def log_sum_of_associations(odds):
     """ln Z of odds (M, F): exact cluster by cluster, by messages where a cluster is too large on both sides."""
     all_rows, all_columns, row_edges, column_edges = clusters(odds)
@@ -232,7 +233,7 @@ def log_sum_of_associations(odds):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def marginals(odds, pairs, free):
     """ln Z and what `messages` says, cluster by cluster and exact in small ones.
 

@@ -9,9 +9,9 @@ that no landmark explains.
 import math
 
 import numpy as np
-from numba import njit
 
 from kalmap.kernels.association_sums import marginals
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.frame import (
     births,
     corrected,
@@ -35,7 +35,7 @@ from kalmap.kernels.set_layout import (
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _after(prior, row, innovations, pairs, free, j, rows, members, out):
     """One landmark after the frame: its missed and sighted hypotheses as one. rows: scratch (M + 1, COLUMNS)."""
     missed = 1.0 - row[DETECTION]
@@ -59,7 +59,7 @@ def _after(prior, row, innovations, pairs, free, j, rows, members, out):
     out[WEIGHT] = min(out[WEIGHT], SUREST)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def bernoulli_update(
     setup, rules, profile, beams, pose, root, noise, block, count, z, number, explained, tally
 ):

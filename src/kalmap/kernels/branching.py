@@ -6,7 +6,8 @@ item and turns back where they reach what the best set known pays.
 """
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 _ITEM, _NEXT, _END, _ALIVE = (
     0,
@@ -17,7 +18,7 @@ _ITEM, _NEXT, _END, _ALIVE = (
 _ROUNDING = 1e-12  # share of the bound below which an improvement is rounding
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _keep_possible(tuples, surplus, closed, rest, alive, count):
     """Move the tuples whose items are all open and whose surplus fits to the front of `alive`; how many."""
     kept = 0
@@ -32,7 +33,7 @@ def _keep_possible(tuples, surplus, closed, rest, alive, count):
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _survey(tuples, surplus, first, price, closed, rest, alive, count, uses, least):
     """What the open items must still pay at least, and the item to branch on (-1 if no tuple is left).
 
@@ -65,7 +66,7 @@ def _survey(tuples, surplus, first, price, closed, rest, alive, count, uses, lea
     return forced, most, branch
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _list_options(tuples, surplus, price, branch, alive, count, options, penalties, start):
     """Write the ways to settle an item from `start` on, cheapest first: its tuples, and -1 for none. The end."""
     end = start
@@ -88,7 +89,7 @@ def _list_options(tuples, surplus, price, branch, alive, count, options, penalti
     return end
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _set_closed(tuples, option, branch, closed, flag):
     """Close (or open again) the items that an option settles."""
     closed[branch] = flag
@@ -98,7 +99,7 @@ def _set_closed(tuples, option, branch, closed, flag):
                 closed[tuples[option, s]] = flag
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _retreat(tuples, limit, options, penalties, stack, paid, closed, depth):
     """Go back to the deepest level with an option left that may pay; -1 if there is none."""
     while depth >= 0:
@@ -111,7 +112,7 @@ def _retreat(tuples, limit, options, penalties, stack, paid, closed, depth):
     return depth
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _surplus(tuples, costs, price):
     """Cost of each tuple plus the prices of its items; below zero it is rounding and taken as zero."""
     surplus = costs.copy()
@@ -123,7 +124,7 @@ def _surplus(tuples, costs, price):
     return surplus
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _record(options, stack, depth, taken):
     """Write the tuples on the way to this level into `taken`."""
     taken[:] = False
@@ -133,7 +134,7 @@ def _record(options, stack, depth, taken):
             taken[option] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def branch_and_bound(tuples, costs, first, price, budget, taken, cost):
     """Find the cheapest set of tuples if it takes no more than `budget` nodes.
 

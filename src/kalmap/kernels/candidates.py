@@ -7,14 +7,14 @@ landmarks costs the same however large the map is.
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import NOT_POSITIVE, OK
 from kalmap.kernels.regression import congruence, wrap
 from kalmap.kernels.sensing import regress_sighting, sighting_block
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def waiting_block(packed, phi, index, out):
     """The (pose, landmark) block (5, 5), the waiting motion applied to the landmark's cross-covariance."""
     sighting_block(packed, index, out)
@@ -28,7 +28,7 @@ def waiting_block(packed, phi, index, out):
             out[i, 3 + r] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def regress_candidates(setup, mean, packed, phi, indices, expected, matrices, spreads):
     """Regress each candidate's sighting. Returns a status code.
 
@@ -52,7 +52,7 @@ def regress_candidates(setup, mean, packed, phi, indices, expected, matrices, sp
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def distances(z, noises, expected, spreads, squared, log_volume):
     """Mahalanobis distance squared and ln det S of every sighting (M) with every candidate (C): two (M, C)."""
     for m in range(len(z)):
@@ -69,12 +69,12 @@ def distances(z, noises, expected, spreads, squared, log_volume):
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _entry(packed, i, j):
     return packed[i * (i + 1) // 2 + j] if j <= i else packed[j * (j + 1) // 2 + i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cross_blocks(packed, phi, indices, matrices, out):
     """out (C, C, 2, 2): covariance A_c P A_d' of the expected sightings of candidates c and d, Lambda left out."""
     count = len(indices)
@@ -108,7 +108,7 @@ def cross_blocks(packed, phi, indices, matrices, out):
                     out[d, c, s, r] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def separations(mean, packed, first, second, extent, out):
     """out (K,): squared Mahalanobis distance of two landmarks from being the same point.
 
@@ -130,7 +130,7 @@ def separations(mean, packed, first, second, extent, out):
             out[k] = math.inf  # they differ by exactly what the map says: nothing to merge
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def hidden_by_sightings(z, expected, width, depth, out):
     """out (C,) bool: something seen in this frame stands before the candidate.
 
@@ -146,7 +146,7 @@ def hidden_by_sightings(z, expected, width, depth, out):
                     break
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def hidden_by_beams(ranges, bearings, expected, depth, out):
     """out (C,) bool: the beam that points at the candidate came back from at least `depth` m before it.
 

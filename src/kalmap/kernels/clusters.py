@@ -8,7 +8,8 @@ next are taken where the cluster is, so beams need not be evenly spaced.
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 # Where each number stands in `settings`; what they mean is told in `kalmap.perception.trees`.
 MIN_RANGE = 0
@@ -27,7 +28,7 @@ _MEAN_CHORD = (
 _UNIFORM = 1.0 / math.sqrt(12.0)  # standard deviation of a uniform number, over its interval
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def first_bad_bearing(bearings):
     """Index of the first bearing that is not finite or not above the one before; -1 if there is none."""
     for k in range(len(bearings)):
@@ -36,7 +37,7 @@ def first_bad_bearing(bearings):
     return -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def returns(ranges, max_range):
     """Indices of the beams whose range is above zero and below `max_range`."""
     hits = np.empty(len(ranges), dtype=np.int64)
@@ -48,7 +49,7 @@ def returns(ranges, max_range):
     return hits[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def group(ranges, hits, max_step):
     """Where each cluster begins among the hits, and at the end len(hits): (C + 1,).
 
@@ -65,7 +66,7 @@ def group(ranges, hits, max_step):
     return first[: clusters + 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cut_off(ranges, hits, low, high):
     """Whether an edge of the cluster is not its own: the scan ends there, or the next beam meets something nearer."""
     right, left = hits[low], hits[high - 1]
@@ -76,7 +77,7 @@ def cut_off(ranges, hits, low, high):
     return high < len(hits) and hits[high] == left + 1 and ranges[left + 1] < ranges[left]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def crowded(ranges, bearings, hits, low, high, clearance):
     """Whether a return beside the cluster lies nearer than `clearance` m to the cluster's last return on that side."""
     for direction in (-1, 1):
@@ -94,7 +95,7 @@ def crowded(ranges, bearings, hits, low, high, clearance):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def edges(bearings, right, left):
     """Bearings of a cluster's right and left edge, half-way to the beams outside, and what one beam covers, rad."""
     below = bearings[right] - bearings[right - 1]
@@ -102,7 +103,7 @@ def edges(bearings, right, left):
     return bearings[right] - 0.5 * below, bearings[left] + 0.5 * above, 0.5 * (below + above)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def mean_range(ranges, hits, low, high):
     """Mean range of a cluster's returns, m."""
     total = 0.0
@@ -111,7 +112,7 @@ def mean_range(ranges, hits, low, high):
     return total / (high - low)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def trunk_sized(ranges, bearings, hits, low, high, settings):
     """Whether a trunk of an allowed diameter may have caught these beams and no more.
 
@@ -129,7 +130,7 @@ def trunk_sized(ranges, bearings, hits, low, high, settings):
     return least <= settings[MAX_DIAMETER] and most >= settings[MIN_DIAMETER]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def circle_from_width(distance, right_edge, left_edge, circle):
     """The circle between two tangents whose surface is met `distance` m away by beams anywhere across it.
 
@@ -140,7 +141,7 @@ def circle_from_width(distance, right_edge, left_edge, circle):
     circle[0], circle[1], circle[2] = distance + _MEAN_CHORD * radius, 0.5 * (right_edge + left_edge), radius
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def solve3(a, b):
     """Solve a x = b for positive definite a (3, 3); x replaces b (3,), a is lost. Returns False if it fails."""
     for i in range(3):
@@ -158,7 +159,7 @@ def solve3(a, b):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def add_residual(residual, row, sigma, normal, right_side):
     """Add one residual with its derivative `row` (3,) to the normal equations. Returns its square over sigma's."""
     for i in range(3):
@@ -168,7 +169,7 @@ def add_residual(residual, row, sigma, normal, right_side):
     return (residual / sigma) ** 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def normal_equations(ranges, bearings, hits, low, high, sigma_range, circle, normal, right_side):
     """Normal equations (3, 3), (3,) of the circle's corrections, and chi-square at the circle as it is.
 
@@ -194,7 +195,7 @@ def normal_equations(ranges, bearings, hits, low, high, sigma_range, circle, nor
     return chi2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fit_circle(ranges, bearings, hits, low, high, sigma_range, circle):
     """Least squares of a circle through two or more returns. Returns chi-square per degree of freedom, inf if it fails.
 
@@ -215,7 +216,7 @@ def fit_circle(ranges, bearings, hits, low, high, sigma_range, circle):
     return chi2 / (high - low - 1) if 0.0 < circle[2] < circle[0] else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def find_trunks(ranges, bearings, settings):
     """Trunks of a scan (B,), (B,) from right to left: (M, 4) range and bearing of the centre, diameter, beams.
 

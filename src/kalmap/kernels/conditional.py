@@ -15,8 +15,8 @@ pairs stands in `given[k]`; to take a pair back is to go on with a smaller k.
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE, OK
 
 # Planes of given (K + 1, 9, C): the last pair's W (2 x 2), the covariance (xx, xy, yy) and the shift of the mean.
@@ -25,7 +25,7 @@ _W00, _W01, _W10, _W11, _XX, _XY, _YY, _SHIFT_X, _SHIFT_Y, _PLANES = 0, 1, 2, 3,
 ZERO_PIVOT = 1e-13  # a pivot below this share of its variance before any pair is rounding
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def unconditioned(cross, pairs):
     """(given, total) with room for so many pairs, holding none. total: (pairs + 1,) joint distances squared."""
     count = len(cross)
@@ -39,7 +39,7 @@ def unconditioned(cross, pairs):
     return given, total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _pair_root(noise, given, k, c):
     """(l00, l10, l11): lower root of a pair's innovation covariance given k pairs; l11 = 0 if it has none."""
     s00, s11 = given[k, _XX, c] + noise[0, 0], given[k, _YY, c] + noise[1, 1]
@@ -54,7 +54,7 @@ def _pair_root(noise, given, k, c):
     return l00, l10, math.sqrt(pivot)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def added_distance(nu, noises, given, k, m, c):
     """What the pair (m, c) would add to the joint distance squared of k pairs; -1: its covariance has no root."""
     l00, l10, l11 = _pair_root(noises[m], given, k, c)
@@ -65,7 +65,7 @@ def added_distance(nu, noises, given, k, m, c):
     return y0 * y0 + y1 * y1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def add_pair(nu, cross, noises, given, total, k, m, a):
     """Make (m, a) pair number k, counted from 0: fills given[k + 1] and total[k + 1]. Returns a status code."""
     l00, l10, l11 = _pair_root(noises[m], given, k, a)
@@ -89,7 +89,7 @@ def add_pair(nu, cross, noises, given, total, k, m, a):
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _conditional_cross(cross, given, k, a, new):
     """Write cov(z_a, z_c | k pairs) = G[a, c] - sum_j W_j[a]' W_j[c] of every c into the W planes of `new`."""
     count = len(cross)

@@ -8,8 +8,8 @@ measured by its signed orthogonal distance from the piece's curve, in the robot'
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.contour_state import calibration_effect
 from kalmap.kernels.implicit import project, signed_distance
 from kalmap.kernels.layout import INVARIANT, JACOBIAN, NOT_POSITIVE, OK, RULE
@@ -21,7 +21,7 @@ OPEN = -2  # the scanner looks through where the sample is
 ASIDE = -3  # in view, but on no piece: between pieces, or too far from one
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _nearest_beam(bearings, bearing):
     """The beam that points there, -1 if none does within a spacing, as they are on average. bearings ascend."""
     count = len(bearings)
@@ -34,7 +34,7 @@ def _nearest_beam(bearings, bearing):
     return beam if abs(bearings[beam] - bearing) <= near else -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _beyond(ranges, beam, r, margin):
     """Whether the beam and both its neighbours measured farther than r by the margin: +1; nearer: -1; else 0."""
     farther, nearer = 0, 0
@@ -47,7 +47,7 @@ def _beyond(ranges, beam, r, margin):
     return -1 if nearer == last - first + 1 else 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _nearest_piece(beam, piece_of_beam, coef, origin, scale, limit, x, y, nx, ny, gradient):
     """Of the pieces under the beam and its neighbours the one nearest to (x, y) that faces the same way, within limit.
 
@@ -66,7 +66,7 @@ def _nearest_piece(beam, piece_of_beam, coef, origin, scale, limit, x, y, nx, ny
     return found, distance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def look(
     pose,
     samples,
@@ -125,7 +125,7 @@ def look(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _normal_equations(pose, start, prior, samples, sigma, found, g, gradient, normal, right):
     """Write normal (3, 3) and right (3,) of the next step of `fit_pose`; returns the sum of squared distances, m^2."""
     normal[:] = prior
@@ -152,7 +152,7 @@ def _normal_equations(pose, start, prior, samples, sigma, found, g, gradient, no
     return squares
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fit_pose(
     pose,
     information,
@@ -213,7 +213,7 @@ def fit_pose(
     return matched, squares / max(1, matched)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _distance_at(setup, pose, sample, deviation, coef, ox, oy, scale):
     """The signed distance with (pose, sample) deviated; in invariant coordinates by a twist about the robot."""
     turn = pose[2]
@@ -231,7 +231,7 @@ def _distance_at(setup, pose, sample, deviation, coef, ox, oy, scale):
     return signed_distance(coef, ox, oy, scale, cosine * dx + sine * dy, cosine * dy - sine * dx)[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def regress_distances(
     setup, mean, packed, mount, indices, piece, coef, origin, scale, matrices, distances, residuals
 ):
@@ -284,7 +284,7 @@ def regress_distances(
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, normals, new, normal, piece):
     """Where the scan shows contour that no sample stands for: points on the pieces' curves, in the robot's frame.
 

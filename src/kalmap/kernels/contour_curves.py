@@ -8,8 +8,8 @@ T-IP 9(3)), as weak priors beside the points' own noise. Distances are weighed a
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.contour_fit import across_variance, excess_variance
 from kalmap.kernels.implicit import evaluate, monomial_slopes, monomials, second_derivatives
 
@@ -23,7 +23,7 @@ _GENTLE = 0.26  # rad, up to which it may turn wherever it likes
 _EVEN = 2.5  # beyond, most curvature in mean curvatures: a bend in one place is a corner
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def invert(matrix, size, inverse):
     """Inverse of a positive definite (size, size), by Cholesky, which overwrites it. False if it is not definite."""
     for j in range(size):
@@ -54,7 +54,7 @@ def invert(matrix, size, inverse):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def chord_normals(points, normals):
     """Unit normals (N, 2), to the left of the way through the points, from chords over an eighth of them."""
     count = len(points)
@@ -66,7 +66,7 @@ def chord_normals(points, normals):
         normals[n, 0], normals[n, 1] = -dy / length, dx / length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _sum_up(at, normals, weights, size, data, whole, right):
     """Normal equations: data (size, size) of the points alone, whole with the priors, right-hand side (size,)."""
     phi, by_u, by_v = np.empty(10), np.empty(10), np.empty(10)
@@ -97,7 +97,7 @@ def _sum_up(at, normals, weights, size, data, whole, right):
         whole[i, i] += _RIDGE * count * mixed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _weigh(c, at, scale, rays, along, across, rough, normals, weights, residuals, variances):
     """Normals, weights of p (in units), residuals (m) and variances (m^2) of the points by the curve as it stands.
 
@@ -118,7 +118,7 @@ def _weigh(c, at, scale, rays, along, across, rough, normals, weights, residuals
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def place_points(points, at, origin):
     """Points in units of the farthest one's distance from their mean: fills at (N, 2), origin (2,); returns scale m."""
     origin[0], origin[1] = points[:, 0].mean(), points[:, 1].mean()
@@ -130,7 +130,7 @@ def place_points(points, at, origin):
     return scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _sandwich(outer, inner, size, out):
     """out (size, size) = outer inner outer, all symmetric."""
     half = np.empty((size, size))
@@ -147,7 +147,7 @@ def _sandwich(outer, inner, size, out):
             out[i, j], out[j, i] = value, value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def weighted_squares(residuals, variances, rough):
     """Chi-square of residuals (m) whose variances (m^2) are `rough` larger than `variances`."""
     total = 0.0
@@ -156,7 +156,7 @@ def weighted_squares(residuals, variances, rough):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fit_polynomial(points, rays, along, across, degree, limit, smooth, coef, cov, origin, residuals):
     """Fit of order `degree` (2 or 3): fills coef (10,), cov (10, 10), origin (2,), residuals (N,) m.
 
@@ -199,7 +199,7 @@ def fit_polynomial(points, rays, along, across, degree, limit, smooth, coef, cov
     return scale, chi, rough, True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _turned(c, u, v, mean):
     """Unit normal at a point, its steepness beside the mean's, and the curvature there, in units."""
     _p, a, b = evaluate(c, u, v)
@@ -209,7 +209,7 @@ def _turned(c, u, v, mean):
     return a / steep, b / steep, steep / mean, bent
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def is_sound(c, origin, scale, points, sigma, margin):
     """Whether a curve follows its points (N, 2), in order, like the smooth contour that it stands for.
 

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.contour_layout import (
     GRAZING,
     MAX_RANGE,
@@ -20,7 +20,7 @@ _BRIDGE = 0.5  # m, least gap that is allowed there
 _GRAZING_GAP = 1.0  # m, longest gap on a line seen at a steep angle
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def order_beams(bearings):
     """Indices of the finite bearings, ascending, of equal ones the first."""
     kept = np.empty(len(bearings), dtype=np.int64)
@@ -44,25 +44,25 @@ def order_beams(bearings):
     return kept[:distinct]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def is_range(r, settings):
     return math.isfinite(r) and r > 0.0 and settings[MIN_RANGE] <= r < settings[MAX_RANGE]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def range_variance(r, settings):
     """Of a range, m^2, by the sensor's sigmas."""
     return settings[SIGMA_RANGE] ** 2 + (settings[RATIO_RANGE] * r) ** 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def widest_gap(nearest, step, angle):
     """Distance between the ends of neighbouring beams, `step` rad apart, on a wall that makes `angle` rad with them."""
     angle = max(angle, 2.0 * step)
     return nearest * math.sin(step) / math.sin(angle - step)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _on_line(points, a, b, other, slack):
     """Whether point `other` lies within `slack` m of the line through points a and b."""
     dx, dy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
@@ -70,7 +70,7 @@ def _on_line(points, a, b, other, slack):
     return abs(across) <= slack * math.hypot(dx, dy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def are_linked(k, step, missing, ranges, points, noise, settings):
     """Whether points k and k + 1 (in a closed ring) lie on one contour: the adaptive breakpoint detector of
     Borges & Aldon 2004, and beyond it a wall at a steep angle that two points on either side bear out.
@@ -100,7 +100,7 @@ def are_linked(k, step, missing, ranges, points, noise, settings):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def running_sums(points, noise, rough, sums):
     """sums (n + 1, 6): running weighted sums 1, x, y, xx, xy, yy about the first point."""
     sums[0] = 0.0
@@ -115,7 +115,7 @@ def running_sums(points, noise, rough, sums):
         sums[k + 1, 5] = sums[k, 5] + w * y * y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def line_cost(sums, a, b):
     """Chi-square of the best line through points a to b - 1."""
     if b - a < 3:
@@ -128,7 +128,7 @@ def line_cost(sums, a, b):
     return max(0.0, 0.5 * (xx + yy - math.hypot(xx - yy, 2.0 * xy)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def best_split(sums, a, b):
     """Where points a to b - 1 fall best into two lines, of two points at least: the place, and chi-square of both."""
     place, least = -1, math.inf
@@ -139,7 +139,7 @@ def best_split(sums, a, b):
     return place, least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def split_runs(sums, a, b, price, cuts):
     """Cut points a to b - 1 in two, again and again, while that saves `price` of chi-square; cuts: starts and end.
 
@@ -165,7 +165,7 @@ def split_runs(sums, a, b, price, cuts):
     return filled + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def mend_runs(sums, price, cuts, filled):
     """Move every cut to where it is best between its neighbours, take out those that do not pay; returns `filled`."""
     for _ in range(3):
@@ -190,7 +190,7 @@ def mend_runs(sums, price, cuts, filled):
     return filled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def straight_runs(sums, linked, price):
     """Starts of the straight runs of a scan's points, and its end: (R + 1,) int64. Runs never cross a missing link.
 

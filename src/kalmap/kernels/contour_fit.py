@@ -7,13 +7,14 @@ variances in m^2: `along` and `across` the beam that measured it (ray, unit), an
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 _HUBER = 3.0  # standard deviations from which a point pulls no harder
 _EXCESS = 2.5  # standard deviations by which chi-square must exceed its mean to speak of roughness
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def across_variance(nx, ny, rays, along, across, n):
     """Variance of point n square to a curve of unit normal (nx, ny) there."""
     facing = nx * rays[n, 0] + ny * rays[n, 1]
@@ -21,7 +22,7 @@ def across_variance(nx, ny, rays, along, across, n):
     return along[n] * facing + across[n] * (1.0 - facing)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def scatter(points, weights):
     """Weighted mean (x, y), unit direction of the principal axis, and the weights' sum."""
     total, mx, my = 0.0, 0.0, 0.0
@@ -40,7 +41,7 @@ def scatter(points, weights):
     return mx, my, math.cos(angle), math.sin(angle), total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def excess_variance(residuals, variances, freedom):
     """Variance (m^2) that residuals (m) show beyond their own `variances`, 0 where chance explains them.
 
@@ -62,7 +63,7 @@ def excess_variance(residuals, variances, freedom):
     return excess, chi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fit_line(points, rays, along, across, coef, cov, origin):
     """Weighted total least squares: fills coef (10,), cov (10, 10), origin (2,).
 
@@ -105,7 +106,7 @@ def fit_line(points, rays, along, across, coef, cov, origin):
     return scale, chi, rough
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _powers(points, n, coef, origin, scale, row):
     """Fills row (4,) with 1, t, t^2, t^3 of point n along the line in `coef`; returns its distance, in scales."""
     dx, dy = (points[n, 0] - origin[0]) / scale, (points[n, 1] - origin[1]) / scale
@@ -115,7 +116,7 @@ def _powers(points, n, coef, origin, scale, row):
     return coef[1] * dx + coef[2] * dy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _bend(points, variances, prior, coef, origin, scale, shape, spread):
     """Weighted least squares of the distances from the line on the powers: turns `shape` (4,), from where outliers are
     judged, into the solution; fills spread (4, 4), its covariance, in units of scale. prior (4,): information."""
@@ -144,7 +145,7 @@ def _bend(points, variances, prior, coef, origin, scale, shape, spread):
             shape[i] += spread[i, j] * right[j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fit_bent_line(points, rays, along, across, sigma_bend, smooth, coef, cov, origin):
     """The line of `fit_line` and how it bends: a cubic along it, whose second derivative has a prior of mean 0 and
     `sigma_bend`, 1/m, and whose third the same, 1/m^2.

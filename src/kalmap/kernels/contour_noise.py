@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.implicit import distance_rows
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fill_noise(points, piece, coef, cov, origin, scale, sigma, ends, lengths, offset, askew, noise):
     """noise (M, M) m^2: the covariance of the distances of points (M, 2) from the curves of their pieces (M,).
 

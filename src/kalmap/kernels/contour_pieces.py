@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.contour_cut import (
     are_linked,
     is_range,
@@ -39,7 +39,7 @@ _ASIDE = 0.15  # m, most that a point may lie beside a piece to be its continuat
 _CLOSED = 2.5  # mean spacings of the beams that the two ends of a full circle may lie apart
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def seen_beams(ranges, order, settings):
     """Places in `order` of the beams that brought a range back."""
     count = 0
@@ -51,7 +51,7 @@ def seen_beams(ranges, order, settings):
     return place[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def locate_beams(ranges, bearings, order, place, settings):
     """Points (n, 2) and rays (n, 2) of the beams at `place` in `order`, and their variances along and across the beam
     (n,), in the robot's frame."""
@@ -69,7 +69,7 @@ def locate_beams(ranges, bearings, order, place, settings):
     return points, rays, along, across
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def turned(ring, start):
     """A closed ring (n,) opened before `start`."""
     out = np.empty_like(ring)
@@ -78,7 +78,7 @@ def turned(ring, start):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def link_beams(ranges, bearings, order, place, points, along, full, settings):
     """linked (n,): whether each point and the next one, the first after the last, lie on one contour."""
     count = len(place)
@@ -98,7 +98,7 @@ def link_beams(ranges, bearings, order, place, points, along, full, settings):
     return linked
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def ring_start(linked, points, along, settings):
     """Where to open a scan of the full circle: after a gap, or else where its straight runs have their first cut."""
     for n in range(len(linked)):
@@ -110,7 +110,7 @@ def ring_start(linked, points, along, settings):
     return cuts[1] % len(linked)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def goes_on(coef, cov, origin, scale, sigma, points, along, across, other):
     """Whether point `other` lies where the piece would go on, three standard deviations allowed but no more than
     `_ASIDE`: a wall whose points have become too far apart to follow."""
@@ -129,7 +129,7 @@ def goes_on(coef, cov, origin, scale, sigma, points, along, across, other):
     return abs(away) <= min(_ASIDE, 3.0 * math.sqrt(variance))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def end_kind(n, side, linked, piece, place, ranges, order, full, onward):
     """How the piece of point n ends there; side: 1 for its last point, -1 for its first. See `contour_layout`.
 
@@ -163,7 +163,7 @@ def end_kind(n, side, linked, piece, place, ranges, order, full, onward):
     return ONWARD
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def end_points(degree, coef, origin, scale, points, ends):
     """Feet of the first and last point: fills ends (2, 2); returns the length along the curve, m."""
     count, total = len(points), 0.0
@@ -180,7 +180,7 @@ def end_points(degree, coef, origin, scale, points, ends):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def face_sensor(coef, origin, scale, x, y, settings):
     """Turn the signs so that p grows from the curve at (x, y) towards the sensor."""
     _p, a, b = evaluate(coef, (x - origin[0]) / scale, (y - origin[1]) / scale)
@@ -189,7 +189,7 @@ def face_sensor(coef, origin, scale, x, y, settings):
             coef[i] = -coef[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fit_runs(linked, points, rays, along, across, settings, coef, cov, origin, shape, bounds, ends, piece):
     """Cut the points into straight runs and make pieces of them: fills the rows of coef (n, 10), cov (n, 10, 10),
     origin (n, 2), shape (n, 4: scale, order, sigma, length), bounds (n, 2: first and last point), ends (n, 2, 2), and
@@ -248,7 +248,7 @@ def fit_runs(linked, points, rays, along, across, settings, coef, cov, origin, s
     return k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def is_full_circle(bearings, order):
     """Whether the first beam follows the last one as beams follow one another."""
     if len(order) < 3:
@@ -257,7 +257,7 @@ def is_full_circle(bearings, order):
     return 2.0 * math.pi - span <= _CLOSED * span / (len(order) - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cut_and_fit(ranges, bearings, settings):
     """Pieces of contour in one scan: ranges (B,) m, bearings (B,) rad, settings as in `contour_layout`.
 

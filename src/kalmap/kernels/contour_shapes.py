@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.contour_curves import fit_polynomial, is_sound, weighted_squares
 from kalmap.kernels.contour_cut import line_cost
 from kalmap.kernels.contour_fit import fit_bent_line, fit_line
@@ -21,7 +21,7 @@ _BENT = 2.0  # chi-square per degree of freedom up to which a straight run is le
 _MARGIN = 0.05  # m beyond its ends in which a curve must still be sound
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def run_line(sums, a, b, points):
     """The line through points a to b - 1: a point on it and its unit direction, the way that the points go."""
     w = sums[b, 0] - sums[a, 0]
@@ -36,7 +36,7 @@ def run_line(sums, a, b, points):
     return points[0, 0] + x, points[0, 1] + y, tx, ty
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def may_join(sums, a, b, c, points, noise):
     """Whether the runs a to b - 1 and b to c - 1 may be chords of one smooth contour: no sharp turn, and no step."""
     ax, ay, atx, aty = run_line(sums, a, b, points)
@@ -50,7 +50,7 @@ def may_join(sums, a, b, c, points, noise):
     return (b - a < 3 or ahead <= slack) and (c - b < 3 or behind <= slack)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def try_curve(points, rays, along, across, rough, limit, cost, highest, coef, cov, origin):
     """The lowest order from 2 to `highest` whose curve costs less than `limit` and is sound, 1 if none.
 
@@ -76,7 +76,7 @@ def try_curve(points, rays, along, across, rough, limit, cost, highest, coef, co
     return 1, 1.0, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def copy_fit(coef, cov, origin, to_coef, to_cov, to_origin):
     """Coefficients (10,), covariance (10, 10) and origin (2,) of one fit to the place of another."""
     for i in range(10):
@@ -86,7 +86,7 @@ def copy_fit(coef, cov, origin, to_coef, to_cov, to_origin):
     to_origin[0], to_origin[1] = origin[0], origin[1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def bend_runs(cuts, points, rays, along, across, rough, sigma_bend, coef, cov, origin, shape):
     """A line through every run, bent as `fit_bent_line` does: fills the rows of coef (R, 10), cov (R, 10, 10), origin
     (R, 2), shape (R, 3: scale m, squares by `along` + `rough`, excess variance m^2). sigma_bend 0: straight lines."""
@@ -104,7 +104,7 @@ def bend_runs(cuts, points, rays, along, across, rough, sigma_bend, coef, cov, o
             )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def smooth_chain(cuts, run, sums, linked, points, noise):
     """How many runs, from number `run` on, follow one another without a gap, a step or a sharp turn, and go round by
     no more than half a turn: a piece is shifted and turned as a whole by what a scan's errors do to it
@@ -124,7 +124,7 @@ def smooth_chain(cuts, run, sums, linked, points, noise):
     return length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cost_apart(cuts, run, count, squares, cost):
     """What `count` runs from number `run` on cost with a bent line each, and what every number counts for.
 
@@ -140,7 +140,7 @@ def cost_apart(cuts, run, count, squares, cost):
     return apart + _RUN * count * number, number
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def shape_run(
     cuts, run, sums, linked, points, rays, along, across, rough, cost, highest, squares, coef, cov, origin
 ):

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE
 from kalmap.kernels.packed import pack, unpack
 from kalmap.kernels.regression import wrap
@@ -22,7 +23,7 @@ WHEELS = 8  # by which share odometry's ways, and its turns, are too short
 SAMPLES = 10  # where the samples begin
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def shift_point(mean, packed, n, sign):
     """Speak of the odometry's point instead of the vehicle's (sign 1), or the other way round (-1): O(n)."""
     c, s = sign * math.cos(mean[2]), sign * math.sin(mean[2])
@@ -46,7 +47,7 @@ def shift_point(mean, packed, n, sign):
         row[1] += s * row[LEVER] + c * row[LEVER + 1] + x * row[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def blame(packed, n, entry, effect):
     """Give the pose the share of a number's error that has just moved it: effect (3,) m, m, rad a unit of it. O(n).
 
@@ -67,7 +68,7 @@ def blame(packed, n, entry, effect):
             row[k] += effect[k] * row[entry]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def acquit(packed, n, entry):
     """Take a number for independent of all the rest: what comes next has nothing to say about it. O(n).
 
@@ -100,7 +101,7 @@ def _fill_scalar_rows(n, matrices, rows, work):
             row[i] += d * scale_row[i] + e * offset_row[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise, left, right):
     """One joint update with M scalars, each of (pose, calibration, one sample). Returns (status, NIS).
 
@@ -132,7 +133,7 @@ def apply_distances(setup, mean, packed, n, indices, matrices, innovation, noise
     return apply_rows(setup, mean, packed, n, count, root, innovation, left, right)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def calibration_effect(points, normals, mount, effect):
     """effect (M, 2): how far the scanner shifts what it shows at `points` along `normals`, m a unit of its calibration.
 
@@ -146,13 +147,13 @@ def calibration_effect(points, normals, mount, effect):
         effect[m, 1] = (normals[m, 0] * x + normals[m, 1] * y) / r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _entry(packed, i, j):
     """P[i, j] of the packed lower triangle."""
     return packed[i * (i + 1) // 2 + j] if j <= i else packed[j * (j + 1) // 2 + i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def append_samples(mean, packed, n, points, normal, effect, noise):
     """Append samples that a scan shows at `points` (M, 2), in the robot's frame; returns the new n.
 

@@ -6,8 +6,7 @@ Delta alone, which stands here.
 
 import math
 
-from numba import njit
-
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import (
     BIAS_CODE,
     BIAS_COUNT,
@@ -36,7 +35,7 @@ from kalmap.kernels.layout import (
 from kalmap.kernels.regression import left_jacobian
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def control_corrections(setup, biases, deviation):
     """(speed scale, turn scale, turn offset, course offset) that the errors biases + deviation[3:] amount to."""
     speed_scale, turn_scale, turn_offset, course = 1.0, 1.0, 0.0, 0.0
@@ -54,7 +53,7 @@ def control_corrections(setup, biases, deviation):
     return speed_scale, turn_scale, turn_offset, course
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def increment(setup, first, second, turn, dt):
     """Body increment (dx, dy, dtheta) of one sample from its corrected control, and nothing else of the model.
 
@@ -79,7 +78,7 @@ def increment(setup, first, second, turn, dt):
     return distance * s, distance * c, angle
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sample_increment(setup, control, noise, biases, deviation, dt):
     """Increment of a control deviated by `noise`, with biases deviated by `deviation`, corrected first.
 
@@ -99,7 +98,7 @@ def sample_increment(setup, control, noise, biases, deviation, dt):
     return dx, dy, turn
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def increment_jacobian(setup, control, dt, out):
     """d increment / d corrected control: (3, c)."""
     kind = int(setup[MOTION])
@@ -141,7 +140,7 @@ def increment_jacobian(setup, control, dt, out):
     out[2, 0], out[2, 1] = turn_v, turn_g
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def bias_jacobian(setup, control, c, out):
     """d corrected control / d biases: (c, nb)."""
     out[:, :] = 0.0
@@ -157,7 +156,7 @@ def bias_jacobian(setup, control, c, out):
             out[c - 1, i] = 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def control_covariance(setup, control, dt, out):
     """The noise of one sample (first, second, turn), from the sensor class's sigmas."""
     out[:, :] = 0.0

@@ -7,12 +7,13 @@ fits there, pooled over ever larger windows (Olson 2009; Hess et al. 2016): exac
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 _PARALLEL = 0.8  # cosine between the normals of contours that may be one
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def nearest_segments(segments, low, cell, reach, nearest, distance):
     """Write for every cell of a grid the segment nearest to its middle, where one is within `reach` m.
 
@@ -38,7 +39,7 @@ def nearest_segments(segments, low, cell, reach, nearest, distance):
                     nearest[r, c] = s
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fill_levels(nearest, distance, normals, sigma, levels):
     """How well a point fits each cell, by the direction of its normal, and the maxima of that over larger windows.
 
@@ -72,7 +73,7 @@ def fill_levels(nearest, distance, normals, sigma, levels):
                     grid[r, c] = best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _fit(level, size, cells, shift_row, shift_column):
     """The sum over points of the best fit in a window of `size` cells from the shifted cell on: an upper bound."""
     total = 0
@@ -88,7 +89,7 @@ def _fit(level, size, cells, shift_row, shift_column):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _insert(values, places, kept, angles, value, angle, row, column, apart):
     """Keep a place among the best; of those in one neighbourhood only the best. Returns how many are kept."""
     at = kept
@@ -116,7 +117,7 @@ def _insert(values, places, kept, angles, value, angle, row, column, apart):
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def search_places(levels, low, cell, points, normals, centre, angles, half, least, apart, values, places):
     """The best places of a cloud of points with normals on a map, over all shifts within `half` cells and all angles.
 
@@ -181,7 +182,7 @@ def search_places(levels, low, cell, points, normals, centre, angles, half, leas
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def facing_segment(x, y, nx, ny, segments, normals, nearest, low, cell):
     """The segment that a point with a normal lies beside, and its signed distance m; (-1, 0) if there is none."""
     row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
@@ -197,7 +198,7 @@ def facing_segment(x, y, nx, ny, segments, normals, nearest, low, cell):
     return s, (x - segments[s, 0]) * normals[s, 0] + (y - segments[s, 1]) * normals[s, 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def align_points(
     pose, points, point_normals, segments, normals, nearest, low, cell, limits, rounds, sigma, beside, offsets
 ):

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import MOUNT_X, MOUNT_Y
 from kalmap.kernels.looks import detection, found, look, sight
 from kalmap.kernels.regression import wrap
@@ -47,7 +47,7 @@ _MARGIN = 0.5  # rad beside the view that is looked at more closely
 _SIGMAS = 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def in_view(setup, rules, profile, beams, pose, root, noise, block, count, active, looks):
     """Which components of a map may be sighted: indices (C,) and how they look (C, LOOK). Returns C."""
     scratch = np.empty((4, 12))
@@ -74,13 +74,13 @@ def in_view(setup, rules, profile, beams, pose, root, noise, block, count, activ
     return seen
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def likelihood(row, squared):
     """Density of a sighting at that squared distance."""
     return math.exp(-0.5 * squared - row[NORM])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _densities(rules, looks, z, innovations, densities):
     """Innovations (M, C, 2) and densities N(nu; 0, S) (M, C) of every pair; zero beyond the gate."""
     for i in range(len(z)):
@@ -98,7 +98,7 @@ def _densities(rules, looks, z, innovations, densities):
                 innovations[i, j, 0], innovations[i, j, 1] = z[i, 0] - row[RANGE], nu
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def look_around(setup, rules, profile, beams, pose, root, noise, block, count, z):
     """What every update of a map begins with: who may be seen, and how well each sighting fits.
 
@@ -113,7 +113,7 @@ def look_around(setup, rules, profile, beams, pose, root, noise, block, count, z
     return active, looks, innovations, densities
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def corrected(component, row, nu, out):
     """The component after the sighting with innovation nu (2,); weight, id and count are the caller's."""
     out[X] = component[X] + row[K11] * nu[0] + row[K12] * nu[1]
@@ -121,7 +121,7 @@ def corrected(component, row, nu, out):
     out[L11], out[L21], out[L22] = row[U11], row[U21], row[U22]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def births(setup, rules, pose, root, z, noise, explained, number, rows, count):
     """Append a component for every sighting that the map does not explain; returns how many there are then."""
     scratch = np.empty((2, 12))
@@ -136,7 +136,7 @@ def births(setup, rules, pose, root, z, noise, explained, number, rows, count):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def write_back(block, count, active, rows, new):
     """Put `new` rows in the place of the active components; holes are filled from the end. Returns the new count.
 
@@ -156,7 +156,7 @@ def write_back(block, count, active, rows, new):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def count_ring(rules, distance, weight, hits, seen, found_):
     """Add to the tallies of a ring: features that could be seen (RINGS,), and those that were (RINGS,)."""
     ring = min(int(distance / rules[MAX_RANGE] * rules[RINGS]), int(rules[RINGS]) - 1)

@@ -2,10 +2,10 @@
 
 import math
 
-from numba import njit
+from kalmap.kernels.compiled import compiled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def pass_cells(x, y, c, s, length, passed, passes, marks):
     """Count the cells along a beam once: from (x, y) along the unit vector (c, s), all in cells.
 
@@ -42,7 +42,7 @@ def pass_cells(x, y, c, s, length, passed, passes, marks):
             return
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def trace_beams(poses, firsts, ranges, bearings, limits, origin, resolution, hits, passes, marks):
     """In how many scans a cell was hit, and in how many it was passed without being hit: counts into `hits`, `passes`.
 

@@ -9,8 +9,8 @@ multi-Bernoulli map of `bernoulli` sums over: the likelihoods of all hypotheses 
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.frame import (
     births,
     corrected,
@@ -35,13 +35,13 @@ from kalmap.kernels.set_layout import (
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def existence_if_missed(existence, detection):
     """P(exists | not sighted) by Bayes: r (1 - P_D) / (1 - r P_D)."""
     return existence * (1.0 - detection) / (1.0 - existence * detection)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def existence_if_given(existence, detection, density, alone):
     """P(exists | it was given a sighting of that density): odds r / (1 - r) times 1 - P_D + P_D N(z) / alone.
 
@@ -54,7 +54,7 @@ def existence_if_given(existence, detection, density, alone):
     return min(odds / (1.0 - existence + odds), SUREST)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _odds(rules, block, active, looks, densities, odds):
     """Odds (M, C) of every pair against both being alone; returns ln of the likelihood if all are."""
     sightings, seen = odds.shape
@@ -68,7 +68,7 @@ def _odds(rules, block, active, looks, densities, odds):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _landmarks(rules, block, active, looks, innovations, densities, given, rows):
     """The landmarks in view after the frame under one hypothesis, given (M,), in `rows`; returns how many stay."""
     alone = rules[CLUTTER] / (1.0 - rules[BIRTH])
@@ -93,7 +93,7 @@ def _landmarks(rules, block, active, looks, innovations, densities, given, rows)
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _count(rules, block, active, looks, given, logs, made, tally):
     """Add the frame's features and hits to `tally`, each hypothesis with its share of the probability of those made."""
     seen = len(active)
@@ -110,7 +110,7 @@ def _count(rules, block, active, looks, given, logs, made, tally):
             count_ring(rules, looks[j, RANGE], weight, hits[j] / whole, tally[0], tally[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def hypotheses_update(
     setup,
     rules,
@@ -155,7 +155,7 @@ def hypotheses_update(
     return made
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def step_hypotheses(
     setup,
     rules,

@@ -9,13 +9,14 @@ sum of the gains. Every beginning of such a growth is a hypothesis too, so that 
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 _TWO_PI = 2.0 * math.pi
 _LEAST = 40.0  # ln of the ratio to the likeliest from which a hypothesis does not count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _gain(shift, joint, nu, noise, j, worth):
     """Gain of a pair with innovation nu (2,) against landmark j, given what is known by now."""
     s00 = joint[2 * j, 2 * j] + noise[0, 0]
@@ -29,7 +30,7 @@ def _gain(shift, joint, nu, noise, j, worth):
     return worth - 0.5 * squared - math.log(_TWO_PI) - 0.5 * math.log(determinant)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _take(shift, joint, nu, noise, j):
     """Condition what is expected of all landmarks on a pair, in place."""
     n = len(shift)
@@ -48,7 +49,7 @@ def _take(shift, joint, nu, noise, j):
             joint[r, c] -= k0 * first[c] + k1 * second[c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _grow(nu, joint, noises, possible, worth, seed, sets, logs, made):
     """Grow one hypothesis from `seed` (sighting, candidate); files every beginning of it. Returns how many."""
     count, candidates = possible.shape
@@ -78,7 +79,7 @@ def _grow(nu, joint, noises, possible, worth, seed, sets, logs, made):
         i, j = at_i, at_j
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def frame_hypotheses(nu, joint, noises, possible, worth, seeds, sets, logs):
     """Write the hypotheses found, sets (H, M) candidate or -1 and logs (H,), the likeliest first; returns how many.
 
@@ -105,7 +106,7 @@ def frame_hypotheses(nu, joint, noises, possible, worth, seeds, sets, logs):
     return _sorted(sets, logs, made)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _sorted(sets, logs, made):
     """Bring the different ones of the first `made` hypotheses to the front, the likeliest first."""
     order = np.argsort(-logs[:made], kind="mergesort")
@@ -126,7 +127,7 @@ def _sorted(sets, logs, made):
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def view_shares(z, spreads, min_range, max_range, half_view, out):
     """out (C,): probability that what is expected at z (C, 2), with covariance spreads (C, 2, 2), is in view.
 
@@ -143,7 +144,7 @@ def view_shares(z, spreads, min_range, max_range, half_view, out):
         out[c] = share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _below(distance, variance):
     """Probability that a Gaussian of that variance lies below an edge at that distance."""
     if variance <= 0.0:

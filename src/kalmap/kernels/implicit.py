@@ -7,12 +7,13 @@ distance is g = p / |grad p|, equation (3) of Sun et al. 2010 (Taubin 1991), in 
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 TERMS = 10
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def monomials(u, v, out):
     """out (10,): what the coefficients are multiplied by at (u, v)."""
     out[0], out[1], out[2] = 1.0, u, v
@@ -20,7 +21,7 @@ def monomials(u, v, out):
     out[6], out[7], out[8], out[9] = u * u * u, u * u * v, u * v * v, v * v * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def monomial_slopes(u, v, along_u, along_v):
     """Derivatives (10,) of the monomials by u and by v."""
     along_u[:] = 0.0
@@ -31,7 +32,7 @@ def monomial_slopes(u, v, along_u, along_v):
     along_v[7], along_v[8], along_v[9] = u * u, 2.0 * u * v, 3.0 * v * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def evaluate(c, u, v):
     """p and its derivatives by u and by v."""
     p = c[0] + u * (c[1] + u * (c[3] + u * c[6])) + v * (c[2] + v * (c[5] + v * c[9]))
@@ -41,7 +42,7 @@ def evaluate(c, u, v):
     return p, by_u, by_v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def second_derivatives(c, u, v):
     """Derivatives of p by uu, uv and vv."""
     uu = 2.0 * (c[3] + 3.0 * u * c[6] + v * c[7])
@@ -50,7 +51,7 @@ def second_derivatives(c, u, v):
     return uu, uv, vv
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def signed_distance(c, ox, oy, scale, x, y):
     """g at (x, y) in m, and its exact gradient: grad p / |grad p| - p H grad p / |grad p|^3.
 
@@ -69,7 +70,7 @@ def signed_distance(c, ox, oy, scale, x, y):
     return scale * p / steep, gx, gy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def distance_rows(c, ox, oy, scale, points, rows):
     """rows (N, 10): derivative of the distance at every point (N, 2) m by the coefficients, p being near 0.
 
@@ -82,7 +83,7 @@ def distance_rows(c, ox, oy, scale, points, rows):
         rows[n] *= scale / math.hypot(by_u, by_v)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def project(c, ox, oy, scale, x, y):
     """The foot (x, y) of a point on the curve: Newton's method on p = 0 and (point - foot) x grad p = 0.
 
@@ -111,7 +112,7 @@ def project(c, ox, oy, scale, x, y):
     return ox + scale * u, oy + scale * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def bend(c, u, v):
     """Curvature at (u, v) in 1 / scale, positive where the curve bends away from the side with p > 0."""
     _p, a, b = evaluate(c, u, v)
@@ -119,7 +120,7 @@ def bend(c, u, v):
     return (uu * b * b - 2.0 * uv * a * b + vv * a * a) / math.pow(a * a + b * b, 1.5)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def distances(coef, origin, scale, piece, points):
     """(g, gx, gy) (N, 3) of every point (N, 2) to the curve that `piece` (N,) names among K."""
     out = np.empty((len(points), 3))

@@ -15,8 +15,8 @@ a good one.
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.conditional import add_pair, added_distance, unconditioned
 from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE, OK
 from kalmap.kernels.reach import EXHAUSTED, FAILED, MATCHING_SIZE, bound, reach
@@ -26,7 +26,7 @@ _PATIENCE, _BEGINNINGS = 500, 32  # nodes before other beginnings are tried, and
 _SIGHTING, _UNDECIDED, _PAIRS, _NEXT, _COUNT, _TOP, _LEVEL_SIZE = 0, 1, 2, 3, 4, 5, 6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def joint_compatibility(nu, cross, noises, squared, gate, joint_gate, work, matched):
     """Write the candidate of each sighting, or -1, into `matched` (M,).
 
@@ -48,7 +48,7 @@ def joint_compatibility(nu, cross, noises, squared, gate, joint_gate, work, matc
     return _search(problem, state, rest, squared, gate, joint_gate, work, pairs, matched)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def extend_jointly(nu, cross, noises, squared, gate, joint_gate, matched):
     """Add pairs to those in `matched` (M,): of all free ones the nearest given the pairs so far, then the next.
 
@@ -82,7 +82,7 @@ def extend_jointly(nu, cross, noises, squared, gate, joint_gate, matched):
     return OK, k, total[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _remaining(nu, squared, gate):
     """(rows, candidates, live, used): what is still to be decided, and (C,) bool, which candidates are taken.
 
@@ -109,7 +109,7 @@ def _remaining(nu, squared, gate):
     return rows[:undecided], candidates, live, np.zeros(count, np.bool_)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _nearest(nu, noises, given, k, m, candidates, used):
     """(what it adds to k pairs, which) of sighting m's nearest free candidate; (inf, -1): none; (inf, FAILED)."""
     least, best = np.inf, -1
@@ -124,7 +124,7 @@ def _nearest(nu, noises, given, k, m, candidates, used):
     return least, best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _in_turn(problem, state, rest, joint_gate, matched):
     """Sequential compatibility: the sightings take turns, those with the fewest candidates first.
 
@@ -148,7 +148,7 @@ def _in_turn(problem, state, rest, joint_gate, matched):
     return k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _begin_anew(problem, squared, gate, joint_gate, best_pairs, best_squared, matched):
     """Look for a better set than `matched` by `extend_jointly` from one pair, those of the choosiest sightings first.
 
@@ -172,7 +172,7 @@ def _begin_anew(problem, squared, gate, joint_gate, best_pairs, best_squared, ma
     return best_pairs, best_squared
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _search(problem, state, rest, squared, gate, joint_gate, work, best_pairs, matched):
     """Depth first from no pairs; `matched` holds a set of best_pairs pairs, which the state holds too."""
     sightings, count = rest[1].shape
@@ -213,7 +213,7 @@ def _search(problem, state, rest, squared, gate, joint_gate, work, best_pairs, m
     return OK, best_pairs, best_squared, nodes, True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _branch(rest, stack, distance, level, pairs, undecided, top):
     """Open a level: choose the sighting to decide, move it to the end of the undecided, sort its candidates."""
     rows, candidates, live = rest[:3]
@@ -241,7 +241,7 @@ def _branch(rest, stack, distance, level, pairs, undecided, top):
         added[level, i], children[level, i] = distance[m, c], c
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _advance(problem, state, rest, stack, current, level, most):
     """Go to a level's next set: its sighting with the next nearest candidate, at last with none.
 

@@ -9,8 +9,8 @@ that has them (see `regression`); a Jacobian has odd parts alone. No covariance 
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import (
     CENTRAL_DIFFERENCE,
     JACOBIAN,
@@ -55,7 +55,7 @@ _SURE = 6.0  # standard deviations from an edge beyond which it is not felt
 _TWO_PI = 2.0 * math.pi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def lower_root(first, second, count):
     """(l11, l21, l22) of the rows first, second (count,) of a matrix A: L L' = A A', by modified Gram-Schmidt.
 
@@ -79,7 +79,7 @@ def lower_root(first, second, count):
     return l11, l21, math.sqrt(squared)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sight(setup, x, y, heading, px, py):
     """Range and bearing of the point (px, py) from a vehicle at (x, y, heading)."""
     cosine, sine = math.cos(heading), math.sin(heading)
@@ -89,7 +89,7 @@ def sight(setup, x, y, heading, px, py):
     return math.hypot(ahead, left), wrap(math.atan2(left, ahead) - setup[MOUNT_HEADING])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sight_jacobian(setup, x, y, heading, px, py, matrix):
     """The same, and d (range, bearing) / d (x, y, heading, px, py): (2, 5), additive."""
     cosine, sine = math.cos(heading), math.sin(heading)
@@ -110,7 +110,7 @@ def sight_jacobian(setup, x, y, heading, px, py, matrix):
     return distance, wrap(math.atan2(left, ahead) - setup[MOUNT_HEADING])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def noise_root(setup, given, distance):
     """(s_r, c, s_b): lower root of a sighting's noise at that distance.
 
@@ -126,7 +126,7 @@ def noise_root(setup, given, distance):
     return math.hypot(s_r, given[3]), 0.0, math.hypot(setup[SIGMA_BEARING], across)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _columns_by_jacobian(setup, pose, root, component, matrix, first, second):
     """E_z (2, 5) at the mean; returns range and bearing."""
     distance, bearing = sight_jacobian(setup, pose[0], pose[1], pose[2], component[X], component[Y], matrix)
@@ -142,7 +142,7 @@ def _columns_by_jacobian(setup, pose, root, component, matrix, first, second):
     return distance, bearing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _columns_by_points(setup, pose, root, component, first, second):
     """E_z (2, 10) from the points of the rule along the columns of diag(root, L); returns the expected sighting."""
     spread, w_mean, _, w_even = weights(setup, 5)
@@ -179,7 +179,7 @@ def _columns_by_points(setup, pose, root, component, first, second):
     return r0 + mean_r, wrap(b0 + mean_b)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def look(setup, pose, root, component, noise, scratch, out):
     """Fill one row `out` (LOOK,) but for the probability of detection.
 
@@ -225,7 +225,7 @@ def look(setup, pose, root, component, noise, scratch, out):
     out[NORM] = math.log(_TWO_PI * w11 * w22)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _inside(distance, sigma):
     """Probability that something `distance` inside an edge, give or take sigma, is inside."""
     if distance > _SURE * sigma:
@@ -235,7 +235,7 @@ def _inside(distance, sigma):
     return 0.5 * math.erfc(-distance / (sigma * 1.4142135623730951))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def detection(rules, profile, beams, row):
     """Probability that a component which looks like `row` is sighted: ring, soft edges of the view, occlusion.
 
@@ -261,7 +261,7 @@ def detection(rules, profile, beams, row):
     return min(share, SUREST)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _hidden(rules, beams, distance, bearing):
     """Whether the beam that points at a place came back from well before it, or no beam points there.
 
@@ -280,7 +280,7 @@ def _hidden(rules, beams, distance, bearing):
     return 0.0 < beams[low, 1] < distance - rules[DEPTH]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def found(setup, pose, root, z, noise, scratch, component):
     """Fill X, Y and the root of the component that a sighting z (2,) founds, seen from the pose.
 

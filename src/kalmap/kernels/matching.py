@@ -4,10 +4,11 @@ Shortest augmenting paths with dual prices (Jonker & Volgenant 1987, in the form
 """
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def match(cost, column_of, row_dual, column_dual):
     """Give every row a column of its own at least total cost; cost (R, C), finite, R <= C.
 
@@ -57,7 +58,7 @@ def match(cost, column_of, row_dual, column_dual):
                 break
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def match_or_leave(values, partner, row_price, column_price):
     """Least-cost matching of rows and columns that may stay alone.
 

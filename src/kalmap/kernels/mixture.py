@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.looks import lower_root
 from kalmap.kernels.set_layout import (
     CAP,
@@ -22,7 +22,7 @@ from kalmap.kernels.set_layout import (
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _before(first, second):
     """Whether a component goes before another: by weight, then by place and root: ties do not depend on order."""
     if first[WEIGHT] != second[WEIGHT]:
@@ -33,7 +33,7 @@ def _before(first, second):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def by_weight(rows, count):
     """The order of `count` components, heaviest first, ties by place: (count,) int64."""
     order = np.argsort(rows[:count, X], kind="mergesort")
@@ -46,7 +46,7 @@ def by_weight(rows, count):
     return order
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def squared_distance(centre, other):
     """(m_o - m_c)' P_c^-1 (m_o - m_c), P_c the covariance of `centre`."""
     a = (other[X] - centre[X]) / centre[L11]
@@ -54,7 +54,7 @@ def squared_distance(centre, other):
     return a * a + b * b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def merged(rows, members, count, out):
     """One component from several: the mixture's weight, mean and covariance, the root from stacked columns."""
     weight, x, y, seen = 0.0, 0.0, 0.0, 0.0
@@ -77,7 +77,7 @@ def merged(rows, members, count, out):
     out[ID] = rows[members[0], ID]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def reduce(rules, rows, count, out):
     """Prune below PRUNE, merge what lies within MERGE of a heavier component, keep at most CAP. Returns how many.
 

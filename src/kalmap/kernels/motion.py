@@ -7,8 +7,8 @@ matrices of several samples multiplied up, so that the cross-covariance with the
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.controls import (
     bias_jacobian,
     control_corrections,
@@ -32,7 +32,7 @@ from kalmap.kernels.packed import pack, unpack
 from kalmap.kernels.regression import left_jacobian, regress, square_root, weights, wrap
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _next_difference(setup, pose, heading, step0, deviation, control, noise, biases, dt):
     """Next pose at a deviated (pose, biases, control), as a difference from the undeviated next pose.
 
@@ -70,7 +70,7 @@ def _next_difference(setup, pose, heading, step0, deviation, control, noise, bia
     return dx, dy, dt_angle
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _write_turn(heading, step, matrix):
     """The pose's own columns: the next pose turns about the present one."""
     cosine, sine = heading
@@ -81,7 +81,7 @@ def _write_turn(heading, step, matrix):
     matrix[1, 2] = cosine * step[0] - sine * step[1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _step_by_points(
     setup,
     pose,
@@ -127,7 +127,7 @@ def _step_by_points(
     regress(setup, plus, minus, n, 3, root, offset, matrix, residual, linear)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _step_by_jacobian(setup, heading, step0, control, biases, c, dt, matrix, scratch):
     """d next pose / d (pose, biases, control), analytically, at the mean. scratch: (10, 5)."""
     nb = len(biases)
@@ -160,7 +160,7 @@ def _step_by_jacobian(setup, heading, step0, control, biases, c, dt, matrix, scr
         matrix[2, 3 + nb + k] = scale * gt
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def propagate(setup, mean, packed, phi, controls, durations, covariances):
     """Carry the robot block (pose, biases) through T samples; the map's cross-covariance waits in `phi`.
 
@@ -238,7 +238,7 @@ def propagate(setup, mean, packed, phi, controls, durations, covariances):
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _move_mean(setup, pose, heading, step, offset, matrix, residual):
     """The pose after `step` and the mean's `offset`; invariant errors are carried along with the latter."""
     s, v = 1.0, 0.0
@@ -263,7 +263,7 @@ def _move_mean(setup, pose, heading, step, offset, matrix, residual):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _advance(matrix, residual, q, d, c, block, total, top):
     """block <- F block F' + G Q G' + Lambda and total <- F total, with [F G] = matrix over [0 I 0].
 

@@ -7,8 +7,8 @@ normalised = nu' S^-1 nu + ln det S + extra, equation (5); the gate is on the sq
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.regression import wrap
 
 FREE = -1
@@ -17,7 +17,7 @@ CLEAN, CONTESTED, ALL_CONTESTED, NONE_MATCHED = 1, 2, 3, 4  # the paper's four c
 MATCHED, TRIAL, NEW, LOST, BETWEEN, DOUBTFUL, LOST_TRIAL = 0, 1, 2, 3, 4, 5, 6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def nearest(squared, normalised, gate, rows, open_columns, matched):
     """Give each sighting of `rows` (M,) bool the candidate of least normalised distance inside the gate, or none.
 
@@ -34,7 +34,7 @@ def nearest(squared, normalised, gate, rows, open_columns, matched):
                 matched[m] = c
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def interference(matched, candidates, contested):
     """contested (M,) bool: the sighting shares its candidate with another. Returns (good, contested) counts."""
     claims = np.zeros(candidates, dtype=np.int64)
@@ -51,7 +51,7 @@ def interference(matched, candidates, contested):
     return good, bad
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def observation_offset(z, expected, matched, chosen, offset):
     """offset (2,): the mean innovation of the `chosen` (M,) bool pairs, equation (6); zero if there are none."""
     offset[0] = offset[1] = 0.0
@@ -66,7 +66,7 @@ def observation_offset(z, expected, matched, chosen, offset):
         offset[1] /= count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def shifted(z, noises, expected, spreads, extra, offset, rows, squared, normalised):
     """Write the distances of the sightings of `rows` (M,) bool less an offset; the other rows stay as they are."""
     for m in range(len(z)):
@@ -84,7 +84,7 @@ def shifted(z, noises, expected, spreads, extra, offset, rows, squared, normalis
             normalised[m, c] = squared[m, c] + math.log(determinant)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def nearest_claims(normalised, matched, contested, winners):
     """winners (M,) bool: for each contested candidate the nearest of the sightings that claim it."""
     for m in range(len(matched)):
@@ -101,7 +101,7 @@ def nearest_claims(normalised, matched, contested, winners):
                 break
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def settle(squared, normalised, gate, usable, matched, contested):
     """Repeat until clean: each contested candidate to its nearest sighting, the rest to unmatched candidates.
 
@@ -123,7 +123,7 @@ def settle(squared, normalised, gate, usable, matched, contested):
         nearest(squared, normalised, gate, losers, open_columns, matched)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def best_widened(squared, gate, inside, pair):
     """pair (2,): sighting and candidate of least distance, of those `inside` (C,) bool. False: none in the gate."""
     least = gate
@@ -137,7 +137,7 @@ def best_widened(squared, gate, inside, pair):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def clear_interference(
     z, noises, expected, spreads, extra, usable, gate, squared, normalised, matched, offset
 ):
@@ -163,7 +163,7 @@ def clear_interference(
     return ALL_CONTESTED
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def dynamic_joint(
     z,
     noises,
@@ -214,7 +214,7 @@ def dynamic_joint(
     return NONE_MATCHED, True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def finish(squared, normalised, trial, gate, new_gate, matched, fate):
     """What becomes of the sightings that no confirmed landmark got. `matched` (M,) and `fate` (M,) are filled in.
 
@@ -256,7 +256,7 @@ def finish(squared, normalised, trial, gate, new_gate, matched, fate):
                 fate[m] = BETWEEN
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def outcome(columns, fate, indices, matched, seen):
     """What a frame comes to. Returns how many sightings found a landmark.
 

@@ -6,6 +6,8 @@ Half the memory of a square, exactly symmetric by construction, and it grows by 
 import numpy as np
 from numba import njit
 
+from kalmap.kernels.compiled import compiled
+
 _FAST = {"contract", "reassoc", "nsz"}  # what vectorisation needs, NaN and inf kept honest
 _SMALL = 176  # below this size setting up a strip costs more than it saves
 _STRIP = 2048  # columns at a time: four rows fit the second-level cache, and runs are long enough to prefetch
@@ -102,7 +104,7 @@ def _add_row_end(packed, row, first, left, right, factor, rank):
             packed[start + j] += a * right[k, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _transform_three(packed, n, phi):
     """`transform_leading` for d = 3, in registers: then the cache misses of several rows overlap."""
     a, b, c = phi[0, 0], phi[0, 1], phi[0, 2]
@@ -116,7 +118,7 @@ def _transform_three(packed, n, phi):
         packed[start + 2] = g * x + h * y + k * t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def transform_leading(packed, n, d, phi):
     """Carry the cross-covariance of the leading d entries along: rows i >= d get P[i, :d] <- phi P[i, :d].
 
@@ -141,7 +143,7 @@ def transform_leading(packed, n, d, phi):
             phi[r, c] = 1.0 if r == c else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def remove(packed, vector, n, first, count):
     """Marginalise entries first..first+count out: drop these rows and columns in place. Returns the new n."""
     write = first * (first + 1) // 2
@@ -155,7 +157,7 @@ def remove(packed, vector, n, first, count):
     return n - count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def unpack(packed, n, out):
     """Write the leading n x n part as a full symmetric matrix into `out`."""
     position = 0
@@ -166,7 +168,7 @@ def unpack(packed, n, out):
             position += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def pack(full, n, out):
     """Write the lower triangle of `full` into `out`."""
     position = 0

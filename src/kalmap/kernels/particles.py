@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from kalmap.kernels.bernoulli import bernoulli_update
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.phd import phd_update
 from kalmap.kernels.proposal import lower_rows, moved, propose, world_root
 
@@ -13,7 +13,7 @@ PHD, BERNOULLI = 0, 1
 BY_MOTION, BY_SIGHTINGS = 0, 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def place(
     setup,
     rules,
@@ -41,7 +41,7 @@ def place(
     return 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def with_kept(root, left, delta, heading, out):
     """Root of what is not known of a particle's pose at the end of a way, in the body's frame: (3, 3), lower.
 
@@ -62,7 +62,7 @@ def with_kept(root, left, delta, heading, out):
     lower_rows(columns, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def set_out(
     setup,
     rules,
@@ -118,7 +118,7 @@ def set_out(
     return log_factor
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def step_particles(
     setup,
     rules,

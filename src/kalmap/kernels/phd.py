@@ -12,9 +12,9 @@ updated map holds in view.
 import math
 
 import numpy as np
-from numba import njit
 
 from kalmap.kernels.association_sums import log_sum_of_associations
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.frame import (
     births,
     corrected,
@@ -58,7 +58,7 @@ _KNOWN = 3.0  # sightings from which on a component tells how often features are
 _FAR = 60.0  # squared distance beyond which a component adds nothing to the intensity at a place
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def intensity(rows, count, x, y):
     """The mixture's value at a place, 1 / m^2."""
     total = 0.0
@@ -74,7 +74,7 @@ def intensity(rows, count, x, y):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def set_likelihood(setup, rules, profile, beams, pose, root, noise, places, count, z):
     """ln g(Z | M, x): features M (count, COLUMNS) at known places (X, Y), summed over all associations."""
     looks, scratch, point = np.empty(LOOK), np.empty((4, 12)), np.zeros(COLUMNS)
@@ -93,7 +93,7 @@ def set_likelihood(setup, rules, profile, beams, pose, root, noise, places, coun
     return total + log_sum_of_associations(odds)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _by_cubature(rules, looks, prior, masses, updated):
     """Equations (25) to (27): the heaviest component alone, its place integrated out by the lineariser's rule."""
     whole = len(masses) * math.log(rules[CLUTTER]) - rules[CLUTTER_RATE]
@@ -104,7 +104,7 @@ def _by_cubature(rules, looks, prior, masses, updated):
     return whole + math.log(inside) - math.log(max(updated[best], 1e-300))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _chosen(rules, kept, total, places):
     """The features M that a strategy weighs with, from the reduced map (heaviest first); returns how many."""
     if int(rules[WEIGHTING]) == EMPTY:
@@ -119,7 +119,7 @@ def _chosen(rules, kept, total, places):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _updated(rules, prior, looks, innovations, masses, rows, updated, explained, tally, cluster):
     """The updated intensity, one row a hypothesis, in `rows`; returns how many there are.
 
@@ -159,7 +159,7 @@ def _updated(rules, prior, looks, innovations, masses, rows, updated, explained,
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def phd_update(setup, rules, profile, beams, pose, root, noise, block, count, z, number, explained, tally):
     """Update the map (block's first `count` rows) in place; returns (new count, ln of the particle's weight factor).
 

@@ -12,8 +12,8 @@ and the likelihood, blurred by it, is an approximation.
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.frame import in_view
 from kalmap.kernels.looks import noise_root, sight_jacobian
 from kalmap.kernels.regression import left_jacobian, wrap
@@ -35,7 +35,7 @@ _SETTLED = 1e-2
 _LEAST_WEIGHT = 1e-3  # lighter components say too little about the pose
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def moved(pose, root, e, out):
     """out = pose compose exp(root e)."""
     xi0 = root[0, 0] * e[0]
@@ -49,7 +49,7 @@ def moved(pose, root, e, out):
     out[2] = wrap(pose[2] + xi2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def world_root(heading, root, out):
     """The root of a body-frame motion in the world's axes (x, y, heading), lower triangular again."""
     cosine, sine = math.cos(heading), math.sin(heading)
@@ -61,7 +61,7 @@ def world_root(heading, root, out):
     lower_rows(turned, out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def lower_rows(rows, out):
     """Lower root (3, 3) of rows rows' for rows (3, K), by Gram-Schmidt; overwrites rows."""
     width = rows.shape[1]
@@ -83,7 +83,7 @@ def lower_rows(rows, out):
             rows[r, k] = rows[r, k] / size if size > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def root_of_inverse(information, factor):
     """Upper root of the inverse of I + A, A (3, 3) semi-definite, factor factor' = (I + A)^-1; ln det (I + A).
 
@@ -113,7 +113,7 @@ def root_of_inverse(information, factor):
     return log_determinant
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _pivots(cov, least):
     """(c11, c21, c22) of an innovation to (c11, c21 / c11, c22 - c21^2 / c11), the last of them least^2 or more."""
     slope = cov[1] / cov[0]
@@ -121,7 +121,7 @@ def _pivots(cov, least):
     cov[1] = slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _expect(setup, pose, root, noise, component, spread, matrix, by_e, own, wide):
     """Range and bearing of a component; by_e (2, 3): their derivatives by e; own, wide (3,): pivots of the innovation.
 
@@ -153,7 +153,7 @@ def _expect(setup, pose, root, noise, component, spread, matrix, by_e, own, wide
     return distance, bearing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _pull(nu0, nu1, weight, by_e, own, information, pull):
     """Add what one pair, of that probability, says of e: information (3, 3) and pull (3,)."""
     i11 = 1.0 / own[2]
@@ -167,7 +167,7 @@ def _pull(nu0, nu1, weight, by_e, own, information, pull):
             information[k, m] += weight * (g0 * by_e[0, m] + g1 * by_e[1, m])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, spread, information, pull):
     """Add every pair's information (3, 3) and pull (3,) on e at this pose; spread (3, 3): what e still varies by."""
     matrix, by_e, expected = np.empty((2, 5)), np.empty((seen, 2, 3)), np.empty((seen, 2))
@@ -198,7 +198,7 @@ def _accumulate(setup, rules, pose, root, noise, block, active, looks, seen, z, 
                 _pull(nu0, nu1, share[j] / whole, by_e[j], own[j], information, pull)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def propose(setup, rules, profile, beams, pose, root, noise, block, count, z, normal, spread_by, out, left):
     """Sample a pose into `out` (3,); returns ln p(e) / q(e).
 
@@ -244,7 +244,7 @@ def propose(setup, rules, profile, beams, pose, root, noise, block, count, z, no
     return _sample(pose, root, e, factor, log_determinant, normal, spread_by, out, left)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _sample(pose, root, e, factor, log_determinant, normal, spread_by, out, left):
     """Draw from N(e, factor factor'), factor upper triangular, and say what it weighs."""
     drawn = np.empty(3)

@@ -10,15 +10,15 @@ best of each. This is exact, and needs no more than 1 + (K - 1) n assignments in
 import math
 
 import numpy as np
-from numba import njit
 
 from kalmap.kernels.association_sums import clusters
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.matching import match
 
 DROP = 10.0  # an association less probable than exp(-DROP) of the best is left out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _costs(odds, rows, columns, n, m):
     """Costs (n, m + n) of a cluster and the cost of what must not be: -ln odds, then each row's own way to be alone."""
     costs, most = np.zeros((n, m + n)), 0.0
@@ -38,7 +38,7 @@ def _costs(odds, rows, columns, n, m):
     return costs, forbidden
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _solve(costs, forbidden, fixed, without, chosen):
     """Best assignment with the first `fixed` rows as in chosen (n,) and the next not in the columns `without`.
 
@@ -60,7 +60,7 @@ def _solve(costs, forbidden, fixed, without, chosen):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _rank(costs, forbidden, options, values):
     """The K best assignments of one cluster, options (K, n) and their ln values (K,), best first. Returns how many."""
     n, columns = costs.shape
@@ -88,7 +88,7 @@ def _rank(costs, forbidden, options, values):
     return most
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _combine(scores, count, values, found, parents, picks):
     """The best sums of one of scores (count,) and one of values (found,), both best first; overwrites scores (K,).
 
@@ -111,7 +111,7 @@ def _combine(scores, count, values, found, parents, picks):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def best_associations(odds, given, scores):
     """The K most probable associations for odds (M, F), 0 where a pair is impossible. Returns how many.
 

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 NOTHING = -1
 
@@ -11,7 +12,7 @@ _SLACK = 1e-9  # rad by which a window of beams is opened, so that rounding lose
 _NEARLY = 1e-6  # rad short of half a turn that a segment spans when the sensor is as good as on it
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def circle_range(x, y, radius, c, s):
     """Range from the origin along (c, s), a unit vector, to the circle about (x, y): the first crossing, else inf."""
     along, across = x * c + y * s, x * s - y * c
@@ -24,7 +25,7 @@ def circle_range(x, y, radius, c, s):
     return along + half if along + half > 0.0 else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def segment_range(x1, y1, x2, y2, c, s):
     """Range from the origin along (c, s), a unit vector, to the segment (x1, y1) to (x2, y2), inf if it is passed by.
 
@@ -42,7 +43,7 @@ def segment_range(x1, y1, x2, y2, c, s):
     return distance if distance > 0.0 else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def see_circle(x, y, radius, heading, bearings, rays, nearest, target, name):
     """Where the circle about (x, y), m from the sensor, is nearest: lower `nearest` (B,), write `name` to `target`.
 
@@ -64,7 +65,7 @@ def see_circle(x, y, radius, heading, bearings, rays, nearest, target, name):
         turn += 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def segment_distance(x1, y1, x2, y2):
     """Distance of the origin from the segment (x1, y1) to (x2, y2)."""
     dx, dy = x2 - x1, y2 - y1
@@ -73,7 +74,7 @@ def segment_distance(x1, y1, x2, y2):
     return math.hypot(x1 + share * dx, y1 + share * dy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def see_segment(x1, y1, x2, y2, heading, bearings, rays, nearest, target, name):
     """Where the segment, its ends in m from the sensor, is nearest: lower `nearest` (B,), write `name` to `target`.
 
@@ -96,7 +97,7 @@ def see_segment(x1, y1, x2, y2, heading, bearings, rays, nearest, target, name):
         turn += 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cast_rays(poses, circles, moving, segments, bearings, max_range):
     """Range of every beam from every pose, inf beyond `max_range`, and what it met: (F, B), (F, B) int64.
 

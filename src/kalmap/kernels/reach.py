@@ -13,8 +13,7 @@ can be matched among the pairs that add no more than t. The sum of what they add
 share the robot's error, and one pair can explain the next.
 """
 
-from numba import njit
-
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.conditional import added_distance
 from kalmap.kernels.layout import INNOVATION_NOT_POSITIVE, OK
 
@@ -27,7 +26,7 @@ _TIE = 1e-12  # sets whose D^2 differ by less than this share are equally good
 _OF_SIGHTING, _OF_CANDIDATE, _FROM, _SEEN, _QUEUE = 0, 1, 2, 3, 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def bound(pairs, best_pairs, best_squared, joint_gate):
     """What D^2 of a set of so many pairs may be, if it is to be better than the best known."""
     if pairs > best_pairs:
@@ -37,7 +36,7 @@ def bound(pairs, best_pairs, best_squared, joint_gate):
     return -1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def reach(problem, state, rest, scratch, k, undecided, best_pairs, best_squared, joint_gate):
     """Most pairs that a better set around the k chosen ones can have, or EXHAUSTED; drops what no such set holds."""
     rows, _, live = rest[:3]
@@ -63,7 +62,7 @@ def reach(problem, state, rest, scratch, k, undecided, best_pairs, best_squared,
         top = found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _measure(problem, state, rest, distance, k, undecided):
     """Drop the pairs whose candidate is taken; write what each other one adds to the k chosen. A status code."""
     nu, _, noises = problem
@@ -86,7 +85,7 @@ def _measure(problem, state, rest, distance, k, undecided):
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _keep_near(rest, distance, undecided, most):
     """Drop the pairs that add more than `most`; how many sightings have candidates left."""
     rows, candidates, live = rest[:3]
@@ -106,7 +105,7 @@ def _keep_near(rest, distance, undecided, most):
     return left
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def most_pairs(rest, matching, undecided):
     """Size of a maximum matching of the undecided sightings and their candidates, by augmenting paths."""
     rows, candidates, live = rest[:3]
@@ -117,7 +116,7 @@ def most_pairs(rest, matching, undecided):
     return size
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _augment(candidates, live, matching, start):
     """Look, breadth first, for a candidate for sighting `start`, others moving over; whether there is one."""
     of_sighting, of_candidate, came_from = matching[_OF_SIGHTING], matching[_OF_CANDIDATE], matching[_FROM]

@@ -3,31 +3,32 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 _SHIFT = 1 << 31  # cells are numbered x first, so that a column's cells stand together
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cell_key(x, y, cell):
     """The number of the cell that holds (x, y) m; cells are `cell` m wide and sorted by x, then y."""
     return np.int64(math.floor(x / cell)) * (2 * _SHIFT) + np.int64(math.floor(y / cell)) + _SHIFT
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def cell_keys(mean, robot, count, cell, out):
     """out (count,): the cell of every landmark."""
     for j in range(count):
         out[j] = cell_key(mean[robot + 2 * j], mean[robot + 2 * j + 1], cell)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _inside(mean, at, x, y, cosine, sine, reach, front):
     dx, dy = mean[at] - x, mean[at + 1] - y
     return dx * dx + dy * dy < reach * reach and dx * cosine + dy * sine > front
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def landmarks_within(mean, robot, count, keys, order, sensor, reach, front, cell, slack):
     """Indices, ascending, of the landmarks nearer than `reach` m and ahead of the front line.
 
@@ -65,7 +66,7 @@ def landmarks_within(mean, robot, count, keys, order, sensor, reach, front, cell
     return np.sort(found[:n])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def tally_by_range(ranges, seen, expected, reach, counts):
     """Add to counts (B, 2), for each of B bins of the range up to `reach` m, how many were seen of those expected."""
     bins = len(counts)
@@ -76,14 +77,14 @@ def tally_by_range(ranges, seen, expected, reach, counts):
             counts[place, 1] += 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def in_sector(z, least, reach, half, out):
     """out (C,) bool: `least` to `reach` m away and less than `half` rad to either side; z: (C, 2) range, bearing."""
     for c in range(len(z)):
         out[c] = least <= z[c, 0] < reach and (half >= math.pi or abs(z[c, 1]) < half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def near_pairs(points, radius):
     """Places (P,), (P,) of the pairs i < j of points (K, 2) nearer to each other than `radius` m."""
     count = len(points)
@@ -98,7 +99,7 @@ def near_pairs(points, radius):
     return first[:found], second[:found]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def contested_by(squared, fate, undecided, gate, out):
     """out (C,) bool: an undecided sighting lies inside the candidate's gate, so that it may have been seen.
 

@@ -12,8 +12,8 @@ Chen & Cheng 2012) and cubature rules differ in s, w_m and Lambda only; the Jaco
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import (
     CENTRAL_DIFFERENCE,
     RULE,
@@ -29,7 +29,7 @@ NEGATIVE_PIVOT = -1e-9  # below this share the matrix is not a covariance
 ROUNDING = 1e-14  # relative error of a pivot before cancellation, with room for the sums that made the matrix
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def weights(setup, n):
     """(s, w_m, w_0, w_e) of the rule in n dimensions: Lambda = w_0 mu mu' + w_e sum (e_i - c)(e_i - c)'.
 
@@ -48,7 +48,7 @@ def weights(setup, n):
     return math.sqrt(n), 0.5 / n, 0.0, 1.0 / n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _root_column(cov, n, root, j, slack, spread):
     """Column j of the root; False if the matrix is not semi-definite there. slack (n,): rounding of each row's pivot.
 
@@ -82,7 +82,7 @@ def _root_column(cov, n, root, j, slack, spread):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def square_root(cov, n, root):
     """Lower root of a semi-definite matrix: a zero pivot gives a zero column. False if it is indefinite.
 
@@ -108,7 +108,7 @@ def square_root(cov, n, root):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def regress(setup, plus, minus, n, m, root, mean, matrix, residual, linear):
     """Mean offset (m,), regression matrix (m, n) and residual covariance Lambda (m, m) from the points.
 
@@ -143,7 +143,7 @@ def regress(setup, plus, minus, n, m, root, mean, matrix, residual, linear):
             matrix[r, j] = total / pivot if pivot != 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def wrap(angle):
     """The same angle in [-pi, pi)."""
     if -math.pi <= angle < math.pi:
@@ -152,7 +152,7 @@ def wrap(angle):
     return -math.pi if wrapped >= math.pi else wrapped  # NaN stays NaN
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def left_jacobian(angle):
     """(s, c) of V(angle) = [[s, -c], [c, s]], the position part of the SE(2) exponential."""
     if abs(angle) < 1e-4:
@@ -161,7 +161,7 @@ def left_jacobian(angle):
     return math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def congruence(matrix, cov, m, n, out):
     """out = matrix cov matrix' for small blocks, symmetric to the last bit."""
     product = np.empty((m, n))

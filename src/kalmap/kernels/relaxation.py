@@ -7,8 +7,8 @@ its cost, for every tuple, minus the sum of all prices is a lower bound of the l
 """
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.matching import match_or_leave
 
 _PATIENCE = 10  # iterations without a better bound before the step is halved
@@ -18,7 +18,7 @@ _ROUNDING = 1e-12  # share of a cost below which a change is rounding
 _SMALLEST_STEP = 1e-3  # share of the Polyak step at which the multipliers are taken to have converged
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def share_prices(tuples, costs, price):
     """Prices that bound, at once: every tuple shares its gain evenly, then each side in turn gives slack back."""
     count, sides = tuples.shape
@@ -45,7 +45,7 @@ def share_prices(tuples, costs, price):
                 price[item], slack[item] = max(0.0, price[item] - slack[item]), 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _lift(tuples, costs, price):
     """Raise the prices in each tuple without landmark and first sighting, evenly, until it pays.
 
@@ -66,7 +66,7 @@ def _lift(tuples, costs, price):
                     price[tuples[t, s]] -= total / items
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _fill_values(tuples, costs, first, price, group, groups, side, values, cheapest):
     """Cost of each group of earlier items with each item of this side: the cheapest tuple inside the two.
 
@@ -98,7 +98,7 @@ def _fill_values(tuples, costs, first, price, group, groups, side, values, cheap
             values[row, column], cheapest[row, column] = total, t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _join_side(tuples, costs, first, price, group, groups, side, taken):
     """Match the groups of earlier items with the items of one side, exactly; `taken` gets the tuples that do.
 
@@ -130,7 +130,7 @@ def _join_side(tuples, costs, first, price, group, groups, side, taken):
     return groups + width
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def exchange(tuples, costs, taken):
     """Take any tuple that is cheaper than those it pushes out, until there is none. Returns the cost."""
     owner = np.full(tuples.max() + 1, -1, np.int64)
@@ -167,7 +167,7 @@ def exchange(tuples, costs, taken):
     return costs[taken].sum()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _set_owner(tuples, owner, t, holder):
     """Write who holds the items of tuple t: itself, or -1 for nobody."""
     for s in range(tuples.shape[1]):
@@ -175,7 +175,7 @@ def _set_owner(tuples, owner, t, holder):
             owner[tuples[t, s]] = holder
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _slopes(tuples, first, taken, price, slope):
     """How the bound changes with each multiplier: uses by the relaxed solution minus one. Returns the square.
 
@@ -195,7 +195,7 @@ def _slopes(tuples, first, taken, price, slope):
     return square
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def relax(tuples, costs, first, work, tolerance, best_price, best_taken, best_cost):
     """Bound and improve a set of tuples by at most `work` subgradient steps with Polyak's length.
 

@@ -7,8 +7,8 @@ which founds a landmark, reads (pose, range, bearing).
 import math
 
 import numpy as np
-from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import (
     INVARIANT,
     JACOBIAN,
@@ -25,7 +25,7 @@ from kalmap.kernels.layout import (
 from kalmap.kernels.regression import left_jacobian, regress, square_root, weights, wrap
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sighting_covariance(setup, distance, out):
     """(range, bearing) noise from the sensor class's sigmas, at this distance in m."""
     out[0, 0] = setup[SIGMA_RANGE] ** 2 + (setup[RATIO_RANGE] * distance) ** 2
@@ -33,7 +33,7 @@ def sighting_covariance(setup, distance, out):
     out[0, 1] = out[1, 0] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def first_bad_sighting(z):
     """Index of the first sighting that is not finite or has a negative range; -1 if there is none."""
     for m in range(len(z)):
@@ -42,7 +42,7 @@ def first_bad_sighting(z):
     return -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def fill_noises(setup, z, out):
     """out (M, 2, 2): the noise of every sighting of z (M, 2). Returns the first bad sighting's index, or -1."""
     for m in range(len(z)):
@@ -50,7 +50,7 @@ def fill_noises(setup, z, out):
     return first_bad_sighting(z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def first_bad_noise(noises):
     """Index of the first (2, 2) that is not finite or not positive semi-definite; -1 if there is none."""
     for m in range(len(noises)):
@@ -61,13 +61,13 @@ def first_bad_noise(noises):
     return -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def predict_sighting(setup, pose, x, y):
     """(range, bearing) of the point (x, y) from the mounted sensor."""
     return _seen_along(setup, math.cos(pose[2]), math.sin(pose[2]), x - pose[0], y - pose[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _seen_along(setup, cosine, sine, dx, dy):
     """The same for a point (dx, dy) m from the robot, whose heading has this cosine and sine."""
     forward = cosine * dx + sine * dy - setup[MOUNT_X]
@@ -75,7 +75,7 @@ def _seen_along(setup, cosine, sine, dx, dy):
     return math.hypot(forward, left), wrap(math.atan2(left, forward) - setup[MOUNT_HEADING])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _sighting_jacobian(setup, pose, x, y, matrix):
     """d (range, bearing) / d (pose, landmark), analytically: (2, 5)."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -95,7 +95,7 @@ def _sighting_jacobian(setup, pose, x, y, matrix):
         matrix[r, 2] = gx * dy - gy * dx
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _sighting_at(setup, pose, cosine, sine, x, y, deviation):
     """(range, bearing) with (pose, landmark) deviated; in invariant coordinates by a twist about the robot.
 
@@ -111,7 +111,7 @@ def _sighting_at(setup, pose, cosine, sine, x, y, deviation):
     return _seen_along(setup, cosine, sine, dx, dy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def to_twist(cov, dx, dy):
     """Change a (pose, landmark) covariance in place from additive errors to twists about the robot.
 
@@ -125,7 +125,7 @@ def to_twist(cov, dx, dy):
         cov[k, 4] -= dx * cov[k, 2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def regress_sighting(setup, pose, x, y, cov, predicted, matrix, residual):
     """Predicted (range, bearing), regression matrix on the additive (pose, landmark) errors, and Lambda.
 
@@ -164,7 +164,7 @@ def regress_sighting(setup, pose, x, y, cov, predicted, matrix, residual):
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _landmark_jacobian(setup, pose, distance, bearing, matrix):
     """d landmark / d (pose, range, bearing), analytically: (2, 5). Also returns the landmark."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
@@ -179,7 +179,7 @@ def _landmark_jacobian(setup, pose, distance, bearing, matrix):
     return pose[0] + from_x, pose[1] + from_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def regress_landmark(setup, pose, z, cov, noise, landmark, matrix, residual):
     """Where a first sighting z = (range, bearing) puts its landmark: mean, matrix (2, 5) and Lambda.
 
@@ -219,7 +219,7 @@ def regress_landmark(setup, pose, z, cov, noise, landmark, matrix, residual):
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def sighting_block(packed, index, out):
     """The (pose, landmark) block (5, 5) of the packed covariance; `index` is where the landmark begins."""
     position = 0

@@ -1,10 +1,11 @@
 """The inverse of a sparse symmetric matrix, where its factor has entries (Takahashi, Fagan & Chin 1973)."""
 
 import numpy as np
-from numba import njit
+
+from kalmap.kernels.compiled import compiled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def selected_inverse(starts, rows, lower, d, inverse, diagonal):
     """Z = (L D L')^-1 on the pattern of L, from the last column to the first.
 
@@ -34,7 +35,7 @@ def selected_inverse(starts, rows, lower, d, inverse, diagonal):
         diagonal[j] = 1.0 / d[j] - total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def entries_of(starts, rows, inverse, diagonal, first, second, out):
     """out[k] = Z[first[k], second[k]] for places on the pattern. Returns the first one that is not on it, or -1."""
     for k in range(len(first)):

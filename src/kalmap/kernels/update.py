@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from kalmap.kernels.compiled import compiled
 from kalmap.kernels.layout import (
     BIAS_COUNT,
     INNOVATION_NOT_POSITIVE,
@@ -25,7 +26,7 @@ from kalmap.kernels.regression import congruence, left_jacobian, wrap
 from kalmap.kernels.sensing import first_bad_noise, regress_landmark, regress_sighting, sighting_block
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residuals):
     """Regress every sighting of a frame on its own (pose, landmark) block, all at the same prior.
 
@@ -45,7 +46,7 @@ def regress_frame(setup, mean, packed, z, indices, matrices, innovation, residua
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def gather_rows(packed, n, indices, rows):
     """Rows of P in one sweep: two for each landmark of `indices`, then three of the pose; (2 M + 3, >= n).
 
@@ -89,7 +90,7 @@ def _fill_gain_rows(packed, n, indices, matrices, rows, work):
                 row[i] = a * x_row[i] + b * y_row[i] + c * turn_row[i] + d * first[i] + e * second[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _innovation_root(indices, matrices, noises, work, root):
     """Cholesky root of S = A P A' + noise from the rows A P in `work`. False if S is not positive definite."""
     k = 2 * len(indices)
@@ -141,7 +142,7 @@ def _whiten(root, k, n, work, negated, innovation, correction):
     return nis
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def _correct_mean(setup, mean, n, correction, shift):
     """Apply the correction; in invariant coordinates leave a = J (x+ - x-) of the positions in `shift`."""
     d = 3 + int(setup[BIAS_COUNT])
@@ -162,7 +163,7 @@ def _correct_mean(setup, mean, n, correction, shift):
     mean[2] = wrap(mean[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def apply_rows(setup, mean, packed, n, k, root, innovation, left, right):
     """Correct mean and covariance from the k rows A P in `right` and the root of S. Returns (status, NIS).
 
@@ -197,7 +198,7 @@ def apply_rows(setup, mean, packed, n, k, root, innovation, left, right):
     return OK, nis
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, left, right):
     """One joint update with M regressed sightings. Returns (status, NIS).
 
@@ -212,7 +213,7 @@ def apply_frame(setup, mean, packed, n, indices, matrices, innovation, noises, l
     return apply_rows(setup, mean, packed, n, k, root, innovation, left, right)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def constrain_equal(setup, mean, packed, n, first, second, extent, left, right):
     """Make two landmarks one: the observation x_first - x_second = 0. Returns (status, distance squared).
 
@@ -239,7 +240,7 @@ def constrain_equal(setup, mean, packed, n, first, second, extent, left, right):
     return apply_rows(setup, mean, packed, n, 2, root, innovation, left, right)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
     """Inflate the noise of sightings that contradict the map until their innovation lies on the gate.
 
@@ -270,7 +271,7 @@ def inflate_outliers(gate, packed, indices, matrices, innovation, noises):
     return excess
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
     """Regress and apply a frame's matched sightings, jointly or one after the other. Returns (status, NIS)."""
     count = len(indices)
@@ -299,14 +300,14 @@ def update_frame(setup, mean, packed, n, z, indices, noises, left, right):
     return OK, nis
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def flush_and_update(setup, mean, packed, n, phi, z, indices, noises, left, right):
     """Carry the waiting motion `phi` to the map, then `update_frame`: one call from Python instead of two."""
     transform_leading(packed, n, len(phi), phi)
     return update_frame(setup, mean, packed, n, z, indices, noises, left, right)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def append_landmark(mean, packed, n, landmark, matrix, noise, residual):
     """Append a landmark regressed on (pose, range, bearing): O(n). The buffers must have room. Returns n + 2."""
     for r in range(2):
@@ -329,7 +330,7 @@ def append_landmark(mean, packed, n, landmark, matrix, noise, residual):
     return n + 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def append_frame(setup, mean, packed, n, z, noises):
     """Found a landmark for every sighting of z. Returns (status, new n)."""
     if first_bad_noise(noises) >= 0:

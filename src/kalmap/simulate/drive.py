@@ -8,8 +8,11 @@ from array import array
 import msgspec
 import numpy as np
 
+from kalmap.kernels.steering import steer_to
 from kalmap.records import KalmapError
 from kalmap.simulate.world import World
+
+_AT_ONCE = 4096  # control steps between two looks at whether a way-point can be reached at all
 
 
 class Drive(msgspec.Struct, frozen=True, eq=False):
@@ -32,30 +35,22 @@ def drive(world: World) -> Drive:
     Raises `KalmapError` naming the way-point if one cannot be reached, such as one inside the circle
     that the vehicle cannot turn tighter than.
     """
-    legs = [(float(x), float(y)) for x, y in world.waypoints] * world.laps
-    step, at_waypoint_squared = world.speed * world.dt, world.at_waypoint**2
+    legs = np.tile(np.asarray(world.waypoints, dtype=float), (world.laps, 1))
+    step = float(world.speed * world.dt)
     limit, most_turn = math.radians(world.max_steering_deg), math.radians(world.steering_rate_deg) * world.dt
-    turn_per_sine = step / world.wheelbase
-    pi, turn, atan2, sin, cos = math.pi, 2.0 * math.pi, math.atan2, math.sin, math.cos
-    x = y = heading = steering = 0.0
+    rules = float(world.at_waypoint), step, most_turn, limit, step / world.wheelbase
+    state, course = np.zeros(4), np.empty((_AT_ONCE, 4))
     # arrays of numbers, not lists: a large lawn is driven in ten million steps
-    steerings, poses = array("d"), array("d", (x, y, heading))
-    for number, (goal_x, goal_y) in enumerate(legs):
-        left = _patience(world, math.hypot(goal_x - x, goal_y - y))
-        dx, dy = goal_x - x, goal_y - y
-        while dx * dx + dy * dy >= at_waypoint_squared:
+    steerings, poses = array("d"), array("d", state[:3])
+    for number, goal in enumerate(legs):
+        left, reached = _patience(world, math.hypot(*(goal - state[:2]))), False
+        while not reached:
             if left == 0:
                 raise KalmapError(_stuck(world, number))
-            left -= 1
-            change = (atan2(dy, dx) - heading - steering + pi) % turn - pi
-            steering += max(-most_turn, min(most_turn, change))
-            steering = max(-limit, min(limit, steering))
-            x += step * cos(steering + heading)
-            y += step * sin(steering + heading)
-            heading = (heading + turn_per_sine * sin(steering) + pi) % turn - pi
-            steerings.append(steering)
-            poses.extend((x, y, heading))
-            dx, dy = goal_x - x, goal_y - y
+            steps, reached = steer_to(*goal, *rules, state, course[:left])
+            left -= steps
+            poses.frombytes(course[:steps, :3].tobytes())
+            steerings.frombytes(course[:steps, 3].tobytes())
     return Drive(np.frombuffer(steerings), np.frombuffer(poses).reshape(-1, 3))
 
 

@@ -107,7 +107,7 @@ class ParticleFrames:
         out = (self._left, ways, rows, counts, logs, made, explained, tallies)
 
         def part(first: int, last: int) -> None:
-            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)  # type: ignore[call-arg]
+            step_hypotheses(*begin, *maps, *way, *how, first, last, *out)
 
         self._in_threads(part, number)
         children = np.flatnonzero(np.arange(branches) < made[:, None])

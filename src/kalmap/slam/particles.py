@@ -43,9 +43,11 @@ class Particles:
             grown[:, : self.blocks.shape[1]] = self.blocks
             self.blocks = grown
         used = np.zeros(len(self.blocks), dtype=bool)
-        free = np.setdiff1d(np.arange(len(self.blocks)), self.slots).tolist()
+        used[self.slots] = True
+        free = np.flatnonzero(~used).tolist()
         if not free:
             return
+        used[:] = False
         for particle, slot in enumerate(self.slots):
             if not used[slot]:
                 used[slot] = True

@@ -132,10 +132,11 @@ class PaperReport(msgspec.Struct, frozen=True):
         figures: name -> figure and caption. facts: said in `claims.json` too. Returns the paths by name.
         """
         manifest = study_manifest(cases, started)
+        pictures = save_figures(out / "figures", {key: figure for key, (figure, _) in figures.items()})
         page = render_study(
             self.title,
             [claims_table(self.claims), *(table.page() for table in self.tables)],
-            figures={caption: figure for figure, caption in figures.values()},
+            figures={caption: pictures[key].read_bytes() for key, (_, caption) in figures.items()},
             manifest=manifest,
             lead=tally(self.claims),
             about=self.about,
@@ -151,7 +152,6 @@ class PaperReport(msgspec.Struct, frozen=True):
         }
         for file, text in texts.items():
             write_atomically(out / file, text.encode())
-        pictures = save_figures(out / "figures", {key: figure for key, (figure, _) in figures.items()})
         return {
             **{file: out / file for file in texts},
             **{f"figures/{key}.png": path for key, path in pictures.items()},

@@ -291,11 +291,11 @@ def save_comparison(
         write_manifest(folder, msgspec.structs.replace(first, config=configs))
     _drop_optional_figures(folder)
     if views:
-        drawn = comparison_figures(views, metrics)
-        save_figures(folder / "figures", drawn)
+        paths = save_figures(folder / "figures", comparison_figures(views, metrics))
+        pictures = {name: path.read_bytes() for name, path in paths.items()}
         title = f"{log.name}: comparison"
         page = render_comparison(
-            views, metrics, manifests=manifests, title=title, figures=drawn, warnings=warnings
+            views, metrics, manifests=manifests, title=title, figures=pictures, warnings=warnings
         )
         write_atomically(folder / "report.html", page.encode())
     return metrics

@@ -28,10 +28,10 @@ def write_seeds(folder: Path, result: StudyResult) -> dict[str, list[PairedRow]]
         curve for world, method in result.groups() if (curve := result.curve(world, method)) is not None
     ]
     world = result.groups()[0][0]
-    figures = {"study": study_figure(curves, f"{world}, RMS over the runs")}
-    save_figures(folder / "figures", figures)
+    paths = save_figures(folder / "figures", {"study": study_figure(curves, f"{world}, RMS over the runs")})
+    pictures = {name: path.read_bytes() for name, path in paths.items()}
     tables = [_means(paired), *(_tests(METRICS[metric], rows) for metric, rows in paired.items())]
-    page = render_study(f"{world}: comparison", tables, figures=figures, warnings=result.failures())
+    page = render_study(f"{world}: comparison", tables, figures=pictures, warnings=result.failures())
     write_atomically(folder / "report.html", page.encode())
     return paired
 

@@ -28,13 +28,13 @@ def render_comparison(
     *,
     manifests: Mapping[str, Manifest] | None = None,
     title: str | None = None,
-    figures: Mapping[str, Figure] | None = None,
+    figures: Mapping[str, Figure | bytes] | None = None,
     warnings: Sequence[str] = (),
 ) -> str:
     """The page of `kalmap compare` as HTML: a table of metrics by method, and pictures.
 
     metrics: method -> its metrics, the methods in the order to show. manifests: method -> manifest.
-    figures: drawn here if not given.
+    figures: as figures or as PNG; drawn here if not given.
     """
     figures = comparison_figures(runs, metrics) if figures is None else figures
     pictures = "\n".join(
@@ -63,7 +63,7 @@ def render_study(
     tables: Sequence[StudyTable],
     *,
     curves: Sequence[StudyCurve] = (),
-    figures: Mapping[str, Figure] | None = None,
+    figures: Mapping[str, Figure | bytes] | None = None,
     manifest: Manifest | None = None,
     lead: str = "",
     about: Sequence[str] = (),
@@ -71,7 +71,7 @@ def render_study(
 ) -> str:
     """The page of a study as HTML: tables with the paper's numbers beside ours, and error curves.
 
-    about: paragraphs that a reader must know before the numbers.
+    figures: as figures or as PNG. about: paragraphs that a reader must know before the numbers.
     """
     if figures is None:
         figures = {"study": study_figure(curves)} if curves else {}

@@ -97,9 +97,12 @@ def finite_maximum(values: np.ndarray, otherwise: float = 1.0) -> float:
 
 def png_bytes(figure: Figure) -> bytes:
     """The figure as a PNG, the same bytes for the same figure."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     stream = io.BytesIO()
     with house_style():
-        figure.savefig(stream, format="png", dpi="figure", metadata={"Software": None})
+        # not savefig, which draws twice: once for the layout alone
+        FigureCanvasAgg(figure).print_png(stream, metadata={"Software": None})
     return stream.getvalue()
 
 

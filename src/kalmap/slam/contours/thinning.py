@@ -64,13 +64,14 @@ def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
     """Rows, ascending, of `count` points or more, in order along a contour: its ends first, then whatever lies farther
     than D0 from all that are kept, D0 lowered until enough are (steps 1 to 3 of section 3.3)."""
     kept = [0, len(points) - 1] if len(points) > 1 else [0]
+    apart = np.min([np.hypot(*(points[row] - points).T) for row in kept], axis=0)  # to the nearest one kept
     threshold = float(np.hypot(*np.diff(points, axis=0).T).sum())
     while len(kept) < min(count, len(points)) and threshold > 1e-6:
-        for row in range(len(points)):
-            if len(kept) >= count:
-                break
-            if np.hypot(*(points[kept] - points[row]).T).min() > threshold:
-                kept.append(row)
+        row = 0
+        while len(kept) < count and len(farther := np.flatnonzero(apart[row:] > threshold)):
+            row += int(farther[0])
+            kept.append(row)
+            apart = np.minimum(apart, np.hypot(*(points[row] - points).T))
         threshold *= SHRINK
     return np.array(sorted(kept))
 
