@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from contour_rooms import block_log, mapper
+from contour_rooms import block_log, events_of, mapper
 from kalmap.gaussian import CentralDifference
 from kalmap.geometry.se2 import rotate
 from kalmap.models import Ackermann, VelocitySteering
@@ -262,7 +262,11 @@ def test_bearings_that_are_no_numbers_take_their_beams_away():
         bearings[::7] = np.nan
         return msgspec.structs.replace(scan, bearings=bearings)
 
-    assert errors_of(log, outcome_of(changed(log, spoil))).max() < 0.15
+    outcome = outcome_of(changed(log, spoil))
+    assert errors_of(log, outcome).max() < 0.15
+    sweeps = outcome.estimate.sweeps()
+    assert np.isfinite(sweeps.points()).all()
+    assert np.mean([len(each.ranges) for each in sweeps.scans]) < 0.87 * len(events_of(log, 1)[-1].ranges)
 
 
 @pytest.mark.parametrize(

@@ -165,17 +165,34 @@ def test_fit_pose_with_noise_errs_no_more_than_it_says():
 LINE = np.array([[0.0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0]])  # y = 0, its free side above
 
 
-def covered(hits, spacing, samples=None, normals=None, pose=(0.0, 0.0, 0.0), coef=LINE):
+ABOVE = np.array([0.0, 100.0, 0.0])  # a scanner that sees the line from straight ahead
+
+
+def covered(
+    hits, spacing, samples=None, normals=None, pose=(0.0, 0.0, 0.0), coef=LINE, mount=ABOVE, steepest=0.0
+):
     hits = np.ascontiguousarray(hits, dtype=float)
     samples = np.zeros((0, 2)) if samples is None else samples
     normals = np.zeros((0, 2)) if normals is None else normals
     new, normal = np.empty((len(hits), 2)), np.empty((len(hits), 2))
     piece = np.empty(len(hits), dtype=np.int64)
     count = kernel.uncovered(
-        np.array(pose), hits, np.zeros(len(hits), dtype=np.int64), coef, np.zeros((1, 2)), np.ones(1),
+        np.array(pose), hits, np.zeros(len(hits), dtype=np.int64), mount, steepest, coef, np.zeros((1, 2)), np.ones(1),
         np.array([spacing]), samples, normals, new, normal, piece,
     )  # fmt: skip
     return new[:count], normal[:count]
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (3.0, -1.0, 2.5)])
+def test_new_samples_stand_where_contour_is_seen_at_no_grazing_angle(pose):
+    """By hand: a scanner 1 m off a line sees it at 30 degrees or more within sqrt(3) m, and from behind nowhere."""
+    hits = np.column_stack([np.arange(-6.0, 6.0, 0.05), np.zeros(240)])
+    mount = np.array([0.5, 1.0, 0.7])
+    new, _ = covered(hits, 0.2, pose=pose, mount=mount, steepest=0.5)
+    assert np.abs(new[:, 0] - 0.5).max() <= np.sqrt(3.0)
+    assert np.abs(new[:, 0] - 0.5).max() > np.sqrt(3.0) - 0.2
+    assert len(covered(hits, 0.2, pose=pose, mount=-mount, steepest=0.5)[0]) == 0
+    assert np.abs(covered(hits, 0.2, pose=pose, mount=mount)[0][:, 0]).max() > 5.7
 
 
 @settings(max_examples=60, deadline=None)

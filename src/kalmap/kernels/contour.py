@@ -285,11 +285,27 @@ def regress_distances(
 
 
 @compiled
-def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, normals, new, normal, piece):
+def uncovered(
+    pose,
+    hits,
+    piece_of_hit,
+    mount,
+    steepest,
+    coef,
+    origin,
+    scale,
+    spacing,
+    samples,
+    normals,
+    new,
+    normal,
+    piece,
+):
     """Where the scan shows contour that no sample stands for: points on the pieces' curves, in the robot's frame.
 
-    hits: (H, 2) m in the robot's frame, in the order of the beams. spacing: (K,) m, of each piece. Writes new (H, 2),
-    normal (H, 2) and piece (H,) and returns how many. A point counts as covered within 0.75 spacings of a sample that
+    hits: (H, 2) m in the robot's frame, in the order of the beams. mount: (3,) the scanner on the robot. steepest: sine
+    of the least angle between a beam and the contour. spacing: (K,) m, of each piece. Writes new (H, 2), normal (H, 2)
+    and piece (H,) and returns how many. A point counts as covered within 0.75 spacings of a sample that
     faces the same way; where neighbouring beams are farther apart than two spacings nothing is known between them.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -302,6 +318,9 @@ def uncovered(pose, hits, piece_of_hit, coef, origin, scale, spacing, samples, n
         value, gx, gy = signed_distance(coef[k], origin[k, 0], origin[k, 1], scale[k], x, y)
         if not abs(value) < 1e-3 or math.hypot(x - hits[h, 0], y - hits[h, 1]) > 0.2:
             continue  # no foot on the curve
+        away = math.hypot(mount[0] - x, mount[1] - y)
+        if gx * (mount[0] - x) + gy * (mount[1] - y) < steepest * away * math.hypot(gx, gy):
+            continue
         near = (0.75 * spacing[k]) ** 2
         mx, my = pose[0] + c * x - s * y, pose[1] + s * x + c * y
         nx, ny = c * gx - s * gy, s * gx + c * gy

@@ -345,14 +345,18 @@ class LiveMap:
         return noise * self.noise
 
     def _found(self, seen: Seen, stray: np.ndarray) -> None:
-        """New samples where the scan shows contour that no sample stands for."""
+        """New samples where the scan shows contour that no sample stands for.
+
+        Not where it is seen at a grazing angle: what a fit is wrong by there, in its bend or its normal, is nearly the
+        same in the next scans, which then seem to hold the vehicle along the wall or push it on.
+        """
         belief, pieces = self.belief, seen.pieces
         spacing = np.minimum(self.rules.contour.spacing, _spacing_by_bend(pieces))
         hits = len(pieces.points)
         new, normal, piece = np.empty((hits, 2)), np.empty((hits, 2)), np.empty(hits, dtype=np.int64)
         count = kernel.uncovered(
-            belief.mean[:3], pieces.points, pieces.piece, pieces.coef, pieces.origin, pieces.scale, spacing,
-            self.samples, self.normals, new, normal, piece,
+            belief.mean[:3], pieces.points, pieces.piece, self.rules.mount, self.rules.steepest, pieces.coef,
+            pieces.origin, pieces.scale, spacing, self.samples, self.normals, new, normal, piece,
         )  # fmt: skip
         if not count:
             return

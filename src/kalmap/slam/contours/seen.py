@@ -78,6 +78,11 @@ class Rules(msgspec.Struct, frozen=True):
         return np.array([self.sensor.max_range, min(self.sensor.max_range, self.contour.clear_range)])
 
     @property
+    def steepest(self) -> float:
+        """Sine of the least angle between a beam and a contour at which a sample is put there."""
+        return math.sin(math.radians(self.cut.grazing_deg))
+
+    @property
     def mount(self) -> np.ndarray:
         """(3,) the scanner on the vehicle."""
         sensor = self.sensor

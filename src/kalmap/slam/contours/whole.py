@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from kalmap.geometry.angles import wrap
 from kalmap.geometry.se2 import compose, rotate
-from kalmap.records import Contours, Sweeps, Trajectory
+from kalmap.records import Contours, Scan, Sweeps, Trajectory
 from kalmap.slam.contours.closed import ClosedMap, neighbours
 from kalmap.slam.contours.leg import Leg, composed
 from kalmap.slam.contours.seen import Rules, calibrated, undistorted
@@ -129,9 +130,17 @@ def whole_sweeps(legs: Sequence[Leg], frames: np.ndarray, rules: Rules, calibrat
         poses.append(compose(np.broadcast_to(frame, (len(kept), 3)), leg.poses[kept]))
         for row in kept:
             scan = calibrated(leg.scans[row], calibration, rules.sensor)
-            scans.append(undistorted(scan, leg.twists[row], mount, beam_time))
+            scans.append(_with_bearings(undistorted(scan, leg.twists[row], mount, beam_time)))
     at = np.concatenate(poses)
     return Sweeps(compose(at, np.broadcast_to(mount, at.shape)), tuple(scans))
+
+
+def _with_bearings(scan: Scan) -> Scan:
+    """The scan without the beams whose direction is not known."""
+    known = np.isfinite(scan.bearings)
+    if known.all():
+        return scan
+    return msgspec.structs.replace(scan, ranges=scan.ranges[known], bearings=scan.bearings[known])
 
 
 def _apart(poses: np.ndarray, step: tuple[float, float]) -> np.ndarray:
