@@ -37,7 +37,7 @@ CONTOURS = Bar(LEAST_MATCHED, LEAST_AGREEMENT, AMBIGUOUS)
 POINTS = Bar(2.0, 0.85, 0.7)
 """Of places by single points (`sketch`). With `LEAST_THINGS` chosen so that none is wrong of 178 that pass, of 653
 searched 0.5 m and 0.1 rad about the truth, in maps of eight simulated floors; with 4 things 4 would be."""
-LEAST_THINGS = 5  # that stand apart and lie on each other, where places are judged by points
+LEAST_THINGS = 6  # that stand apart and lie on each other, where places are judged by points
 
 
 class Verdict(msgspec.Struct, frozen=True, eq=False):

@@ -53,7 +53,7 @@ ACROSS, ALONE = (
     0.04,
     0.06,
 )  # m, standard deviation of one point on another, across a line and where there is none
-ONE = 0.3  # m: points that are nearer to each other are of one thing
+ONE = 0.2  # m: points that are nearer to each other are of one thing
 BLUR = 0.07  # m: how much less a point on another one counts, the farther off it lies
 LIKE, AGAINST = 0.1, 0.5  # m, blur of the search, and what a point in free space counts against
 STEP, TURN = 0.1, 0.03  # m and rad, of the search
