@@ -35,8 +35,8 @@ class Bar(msgspec.Struct, frozen=True):
 
 CONTOURS = Bar(LEAST_MATCHED, LEAST_AGREEMENT, AMBIGUOUS)
 POINTS = Bar(2.0, 0.85, 0.7)
-"""Of places by single points (`sketch`). With `LEAST_THINGS` chosen so that none is wrong of 178 that pass, of 653
-searched 0.5 m and 0.1 rad about the truth, in maps of eight simulated floors; with 4 things 4 would be."""
+"""Of places by single points (`sketch`). With `LEAST_THINGS` chosen so that none is wrong of 189 that pass, of 653
+searched 0.5 m and 0.1 rad about the truth, in maps of eight simulated floors; with 5 things one would be, with 4 five."""
 LEAST_THINGS = 6  # that stand apart and lie on each other, where places are judged by points
 
 
