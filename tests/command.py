@@ -79,7 +79,7 @@ def kalmap_inside(*words: object) -> Answer:
         with said, alone, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             main()
     except SystemExit as leaving:
-        code = leaving.code if isinstance(leaving.code, int) else 0
+        code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     return Answer(code, *(stream.buffer.getvalue().decode() for stream in (out, err)))
 
 

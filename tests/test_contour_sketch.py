@@ -16,10 +16,11 @@ from kalmap.geometry.se2 import compose, inverse, rotate
 from kalmap.models.motion import motion_from_config
 from kalmap.records import Scan, SensorConfig
 from kalmap.simulate import simulate, world_by_name
-from kalmap.slam.contours.belief import FLOOR, POINTS, is_elsewhere
+from kalmap.slam.contours.belief import FLOOR, POINTS, is_elsewhere, judged
 from kalmap.slam.contours.leg import Leg
 from kalmap.slam.contours.loops import SPARSE
-from kalmap.slam.contours.sketch import Sketch, _carried, _within, drawn, laid
+from kalmap.slam.contours.matching import Overlay
+from kalmap.slam.contours.sketch import Sketch, _carried, _doubted, _within, drawn, laid
 from kalmap.slam.contours.slam import ContourSlam
 from kalmap.slam.contours.witness import Witness
 from real_data import data_root  # noqa: F401
@@ -120,7 +121,12 @@ def test_a_place_is_refused_where_everything_repeats():
     witness = Witness([legs, legs], None)
     witness._sketches = {0: made(grid, free=True), 1: made(grid, free=True)}
     drive = np.array([0.1, 0.0, 0.0]), np.diag(DRIVE**2), 2.0
-    verdict = witness.by_points(0, 1, drive, REACH, None)
+    assert witness.by_points(0, 1, drive, REACH, None) is None
+    places = [
+        each.overlay
+        for each in laid((made(grid, free=True), legs), (made(grid, free=True), legs), drive[0], *REACH)
+    ]
+    verdict = judged(places, *drive, bar=POINTS, about=grid.mean(axis=0))
     assert verdict.why == "another place is nearly as good"
     # one thing that is unlike the others settles it
     odd = np.concatenate([grid, [[2.0, 2.2], [2.1, 2.2], [2.2, 2.2], [2.2, 2.3], [2.3, 2.3], [3.6, 1.9]]])
@@ -142,18 +148,50 @@ def test_few_things_are_no_place():
 
 
 def test_places_nearly_as_good_make_the_best_one_less_sure():
-    """Two combs of teeth 0.2 m apart, with a long tooth missing: the next place but one is 0.2 m along, and passes
-    for the same one within 0.3 m. Its shift stands in the covariance."""
-    comb = np.array([[0.2 * i, 0.4 * (i % 2)] for i in range(24)], dtype=float)
-    comb = np.concatenate([comb, comb + [0.0, 3.0]])
-    legs = still(np.zeros((3, 3)), 1e-6 * np.eye(3))
-    places = laid((made(comb), legs), (made(comb), legs), np.array([0.1, 0.0, 0.0]), 0.3, 0.1)
-    sure = np.sqrt(np.diagonal(places[0].overlay.covariance))
-    near = [each for each in places[1:] if not is_elsewhere(each.overlay.pose, places[0].overlay.pose)]
-    worth = [each.overlay.matched * each.overlay.agreement for each in places]
-    rivals = [each for each in near if each.overlay.matched * each.overlay.agreement > 0.7 * worth[0]]
-    expected = np.sqrt(sum((each.overlay.pose[0] - places[0].overlay.pose[0]) ** 2 for each in rivals))
-    assert sure[0] >= expected
+    """By hand: of three others one is nearly as good and within 0.3 m, so that its shift stands in the covariance."""
+    sure = np.diag([1e-4, 1e-4, 1e-6])
+
+    def place(pose, matched):
+        return Overlay(np.array(pose), sure, np.zeros((3, 3)), matched, 1.0, 0.0, 0)
+
+    best, other = place([1.0, 2.0, 3.13], 10.0), place([1.2, 2.0, -3.13], 7.5)
+    places = [best, other, place([1.1, 2.0, 3.13], 6.9), place([1.5, 2.0, 3.13], 9.0)]
+    shift = np.array([0.2, 0.0, 2.0 * np.pi - 6.26])
+    doubted = _doubted(places, np.zeros(2))
+    np.testing.assert_allclose(doubted.covariance, sure + np.outer(shift, shift), atol=1e-12)
+    assert doubted.pose is best.pose
+
+
+def test_walls_far_away_are_not_many_things():
+    """Two endless walls 3 to 20 m off, beams a degree apart: they are two things, or three with a torn end, and no place
+    is believed, for nothing tells how far along it is."""
+    for off in (3.0, 5.0, 20.0):
+        bearings = np.radians(np.arange(-90.0, 90.5))
+        with np.errstate(divide="ignore"):
+            ranges = np.minimum(off / np.abs(np.sin(bearings)), 79.0)
+        rng = np.random.default_rng(int(off))
+        poses = np.column_stack([0.2 * np.arange(20), np.zeros(20), np.zeros(20)])
+        legs = []
+        for _ in range(2):
+            noisy = [ranges + 0.01 * rng.standard_normal(len(ranges)) for _ in poses]
+            scans = tuple(Scan(0.2 * k, each, bearings) for k, each in enumerate(noisy))
+            legs.append(msgspec.structs.replace(still(poses, 1e-6 * np.eye(3)), scans=scans))
+        rules = ContourSlam(sensor=SensorConfig(sigma_range=0.01, max_range=80.0)).rules
+        witness = Witness(legs, rules)
+        drive = np.array([1.03, 0.0, 0.0]), np.diag(DRIVE**2), 2.0
+        assert witness.by_points(0, 1, drive, REACH, None) is None
+        first, second = drawn(legs[0], rules), drawn(legs[1], rules)
+        if first is not None and second is not None:
+            assert all(
+                each.things <= 3 for each in laid((first, legs[0]), (second, legs[1]), drive[0], *REACH)
+            )
+
+
+def test_a_leg_that_jumps_is_not_drawn():
+    """Its grid would not fit in memory."""
+    poses = np.array([[0.0, 0.0, 0.0], [3_000.0, 3_000.0, 0.0]])
+    scans = (Scan(0.0, np.full(9, 2.0), np.linspace(-0.1, 0.1, 9)),) * 2
+    assert drawn(msgspec.structs.replace(still(poses, np.eye(3)), scans=scans), driven_rules()) is None
 
 
 def test_how_a_maps_own_errors_move_what_is_held_by_its_points():
@@ -229,17 +267,29 @@ def test_other_rooms_without_contour():
 
 
 def test_a_saved_run_finds_the_same_loops_by_points(tmp_path, lab):
-    slam = lab[0]
-    slam.save(tmp_path / "half")
-    again, whole = ContourSlam.load(tmp_path / "half").estimate(), slam.estimate()
-    np.testing.assert_array_equal(again.trajectory.poses, whole.trajectory.poses)
-    assert again.counts == whole.counts
+    """Saved in the middle, and again in the end."""
+    slam, log = lab[0], lab[1]
+    whole, events = slam.estimate(), list(log.open(None))
+    half = slam.twin()
+    for event in events[: len(events) // 2]:
+        half.step(event)
+    half.save(tmp_path / "half")
+    again = ContourSlam.load(tmp_path / "half")
+    for event in events[len(events) // 2 :]:
+        again.step(event)
+    again.save(tmp_path / "end")
+    for resumed in (again, ContourSlam.load(tmp_path / "end")):
+        told = resumed.estimate()
+        np.testing.assert_array_equal(told.trajectory.poses, whole.trajectory.poses)
+        np.testing.assert_array_equal(told.trajectory.covariances, whole.trajectory.covariances)
+        assert told.counts == whole.counts
 
 
 @pytest.mark.parametrize("distance", [0.1, 0.12])
 def test_a_tour_of_a_real_laboratory_is_closed(data_root, tmp_path, distance):  # noqa: F811
     """Tables, chairs and shelves, no truth: walls at right angles, held beside each other by hand, say that the drive
-    ends with a heading of 1.56 rad. Contours alone find no loop in it."""
+    ends with a heading of 1.56 rad. Contours alone find no loop in it. (With 0.11 m from scan to scan the first loop
+    stays open, having too few things.)"""
     log = data_root / "mines-urg04lx"
     if not log.exists():
         pytest.skip(f"no real data: {log} does not exist")

@@ -36,7 +36,7 @@ class Bar(msgspec.Struct, frozen=True):
 CONTOURS = Bar(LEAST_MATCHED, LEAST_AGREEMENT, AMBIGUOUS)
 POINTS = Bar(2.0, 0.85, 0.7)
 """Of places by single points (`sketch`). With `LEAST_THINGS` chosen so that none is wrong of 189 that pass, of 653
-searched 0.5 m and 0.1 rad about the truth, in maps of eight simulated floors; with 5 things one would be, with 4 five."""
+searched 0.5 m and 0.1 rad about the truth, in maps of eight simulated floors; with 5 things one is, with 4 five."""
 LEAST_THINGS = 6  # that stand apart and lie on each other, where places are judged by points
 
 
@@ -90,8 +90,9 @@ def contradicts_drive(why: str) -> bool:
 
 
 def may_be_tried(found: Overlay, squared: float) -> bool:
-    """Whether a place may be believed against the drive, so far off by `squared`, if others bear it out."""
-    return found.agreement >= TRIED_AGREEMENT and squared < FARTHEST
+    """Whether a place may be believed against the drive, so far off by `squared`, if others bear it out: not if it is
+    one of points, whose metres are no contour."""
+    return found.freedom > 0 and found.agreement >= TRIED_AGREEMENT and squared < FARTHEST
 
 
 def enough(matched: Sequence[float], least: int, contour: float) -> bool:

@@ -33,7 +33,7 @@ MOST_TRIED = 10  # of the places that are doubted
 WIDEST, FARTHEST_TURN = 8.0, 0.7  # m and rad, the largest search
 FARTHEST_MISFIT = 30.0  # as much as one pair of maps counts in the errors' scale
 PRIOR_SCALE, PRIOR_COUNT = 2.0, 3  # of the errors' scale, before maps have been seen
-SPARSE = 20.0  # m of contour: maps with less are laid by the single points of their scans, too
+SPARSE = 20.0  # m of contour: where one map of a pair has less, single points of the scans are asked, too
 BENT = 1.5  # how much wider errors are than shows where maps follow each other, in variance: both bend alike there
 
 
@@ -115,8 +115,11 @@ class Loops:
         return BENT * self.graph.own_covariances()
 
     def finish(self, witness: Witness | None = None) -> None:
-        """Ask once more for what was left open, and lay all maps on each other where they are thought to be now."""
-        self.witness = witness
+        """Ask once more for what was left open, and lay all maps on each other where they are thought to be now.
+
+        witness: as in `seek`, whose one is asked by default.
+        """
+        self.witness = witness or self.witness
         self._reconsider(everything=True)
         self._relay()
         self.graph.solve(30)

@@ -31,6 +31,7 @@ class Overlay(msgspec.Struct, frozen=True):
     contour that lies on the first's; agreement: the share of what lies beside the first's contours that lies on them.
     with_end: (3, 3), covariance of the pose's error (rows) with that of the first map's end, both being of one map.
     distance: squared Mahalanobis distance of the contours from each other, as it is left, and its degrees of freedom.
+    Of places by points (`sketch`), points stand for contour, a decimetre each, and the degrees of freedom are 0.
     """
 
     pose: np.ndarray

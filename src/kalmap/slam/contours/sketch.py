@@ -27,6 +27,9 @@ from kalmap.slam.contours.matching import Overlay
 from kalmap.slam.contours.seen import Rules
 from kalmap.slam.contours.whole import whole_sweeps
 
+MOST_CELLS = 4_000_000  # of a grid, 100 m x 100 m; a leg that needs more has odometry that jumps
+# m from the end of a beam to the nearer one of its neighbours' ends: between these it is of a wall that has come apart
+SPARSE, TORN = 0.15, 0.75
 CELL = 0.05  # m, of the grids
 DENSE = 0.1  # m, side of the squares that hold one point each
 HITS, PASSES = (
@@ -113,22 +116,27 @@ class Laid(msgspec.Struct, frozen=True, eq=False):
 def drawn(leg: Leg, rules: Rules) -> Sketch | None:
     """The sketch of a leg; None where its scans agree on nothing.
 
-    Silence says nothing here: dark and slanting things bring nothing back either.
+    Silence says nothing here: dark and slanting things bring nothing back either. What is so far away that the beams'
+    points are more than `SPARSE` apart is left out: a wall would be many things there.
     """
     sensor = rules.sensor
     sweeps = whole_sweeps([leg], np.zeros((1, 3)), rules, rules.calibration.mean)
-    ends, towards = _ends(sweeps, sensor.min_range, sensor.max_range)
+    farthest = min(sensor.max_range, SPARSE / _beam_spacing(sweeps))
+    ends, towards = _ends(sweeps, sensor.min_range, farthest)
     if not len(ends):
         return None
     places = np.concatenate([sweeps.poses[:, :2], ends])
     low = np.floor(places.min(axis=0) / CELL) * CELL - CELL
-    columns, rows = np.ceil((places.max(axis=0) - low) / CELL).astype(int) + 1
+    extent = np.ceil((places.max(axis=0) - low) / CELL) + 1.0
+    if extent.prod() > MOST_CELLS:
+        return None
+    columns, rows = extent.astype(int)
     hits, passes, marks = (np.zeros((rows, columns), dtype=np.int32) for _ in range(3))
     scans = sweeps.scans
     trace_beams(
         np.ascontiguousarray(sweeps.poses), np.cumsum([0, *(len(scan.ranges) for scan in scans)], dtype=np.int64),
         np.concatenate([scan.ranges for scan in scans]), np.concatenate([scan.bearings for scan in scans]),
-        np.array([sensor.min_range, sensor.max_range, 0.0]), low, CELL, hits, passes, marks,
+        np.array([sensor.min_range, farthest, 0.0]), low, CELL, hits, passes, marks,
     )  # fmt: skip
     solid = (hits >= HITS) & (hits > SHARE * passes)
     column, row = ((ends - low) / CELL).astype(np.int64).T
@@ -139,19 +147,35 @@ def drawn(leg: Leg, rules: Rules) -> Sketch | None:
         np.floor(ends[kept] / DENSE), axis=0, return_inverse=True, return_counts=True
     )
     means = [np.bincount(square.ravel(), each) / count for each in (*ends[kept].T, *towards[kept].T)]
-    distance = distance_transform_edt(~solid) * CELL
+    distance = (distance_transform_edt(~solid) * CELL).astype(np.float32)
     free = (passes >= PASSES) & (hits == 0) & (distance > BESIDE)
     return Sketch(np.column_stack(means[:2]), np.column_stack(means[2:]), low, distance, free)
 
 
+def _beam_spacing(sweeps: Sweeps) -> float:
+    """rad, from one beam to the next; the median of all scans' means. Endless for single beams."""
+    spans = [
+        np.ptp(scan.bearings) / (len(scan.bearings) - 1) for scan in sweeps.scans if len(scan.bearings) > 1
+    ]
+    return max(1e-6, float(np.median(spans))) if spans else math.inf
+
+
 def _ends(sweeps: Sweeps, nearest: float, farthest: float) -> tuple[np.ndarray, np.ndarray]:
-    """(P, 2) m where beams ended between two ranges m, and unit vectors (P, 2) from there to the scanner."""
+    """(P, 2) m where beams ended between two ranges m, and unit vectors (P, 2) from there to the scanner.
+
+    Without the ends on walls that are seen at such an angle that they are more than `SPARSE` apart.
+    """
     ends, towards = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for pose, scan in zip(sweeps.poses, sweeps.scans, strict=True):
         hit = (scan.ranges >= nearest) & (scan.ranges <= farthest)
         course = pose[2] + scan.bearings[hit]
-        towards.append(-np.column_stack([np.cos(course), np.sin(course)]))
-        ends.append(pose[:2] - scan.ranges[hit, None] * towards[-1])
+        way = -np.column_stack([np.cos(course), np.sin(course)])
+        end = pose[:2] - scan.ranges[hit, None] * way
+        apart = np.hypot(*np.diff(end, axis=0).T)
+        beside = np.minimum(np.concatenate([[np.inf], apart]), np.concatenate([apart, [np.inf]]))[: len(end)]
+        kept = (beside <= SPARSE) | (beside > TORN)
+        ends.append(end[kept])
+        towards.append(way[kept])
     return np.concatenate(ends), np.concatenate(towards)
 
 
@@ -261,7 +285,7 @@ def _searched(a: Sketch, b: Sketch, guess: np.ndarray, half: float, turn: float)
         placed = shifts + centre + rotate(guess[2] + by, points - middle)
         values[row] = _at(like, a.low, placed, 0.0).sum(axis=1)
     kept: list[np.ndarray] = []
-    for at in np.argsort(-values, axis=None):
+    for at in np.argsort(-values, axis=None, kind="stable"):
         row, column = np.unravel_index(at, values.shape)
         place = np.array([*shifts[column, 0], turns[row]])
         if all(is_elsewhere(place, each, APART, APART_TURN) for each in kept):

@@ -273,6 +273,8 @@ class ContourSlam:
         if self._live.scans:
             legs.append(relaid(self._live, self._leg.leg()))
         witness = Witness(legs, self.rules)
+        if joined.witness is not None:
+            witness.adopt(joined.witness)
         if self._live.scans:
             loops.close(closed(self._live), witness)
         loops.finish(witness)

@@ -140,7 +140,10 @@ def _with_bearings(scan: Scan) -> Scan:
     known = np.isfinite(scan.bearings)
     if known.all():
         return scan
-    return msgspec.structs.replace(scan, ranges=scan.ranges[known], bearings=scan.bearings[known])
+    strengths = None if scan.intensities is None else scan.intensities[known]
+    return msgspec.structs.replace(
+        scan, ranges=scan.ranges[known], bearings=scan.bearings[known], intensities=strengths
+    )
 
 
 def _apart(poses: np.ndarray, step: tuple[float, float]) -> np.ndarray:

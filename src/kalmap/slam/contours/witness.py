@@ -17,7 +17,7 @@ from kalmap.slam.contours.sketch import Sketch, drawn, laid
 SCANS = 8  # of a map, spread over its leg, that are asked
 LIMIT = 0.15  # m, how far a sample may lie from what the scan shows
 KEPT = 64  # maps whose scans stay cut, or drawn
-FARTHEST = 3.0, 0.5  # m and rad about where the drive has a map, that are searched by points
+FARTHEST = 2.0, 0.4  # m and rad about where the drive has a map, that are searched by points
 ASKED = 40  # samples, least that must be answered for
 
 
@@ -26,7 +26,8 @@ class Witness:
 
     Contours that lie on each other say little where rooms are alike: the wall of one map may stand where the other
     map's scanner looked through. legs: of all maps, which may grow. What is learnt of the scanner on the way is left
-    out: it is little beside `LIMIT`, and so the answer is the same whenever it is asked.
+    out: it is little beside `LIMIT`, and so the answer is the same whenever it is asked. Where maps hold hardly any
+    contour, the scans' single points find such places, too (`sketch`).
     """
 
     def __init__(self, legs: Sequence[Leg], rules: Rules) -> None:
@@ -54,7 +55,8 @@ class Witness:
         """The verdict on the second map's place on the first by what scans saw point by point, see `sketch.laid`.
 
         drive: where the drive has the map (3,), the covariance (3, 3) of that, and the scale of the maps' own. reach: m
-        and rad, how far around that is searched; beyond `FARTHEST` points are too much alike, and nothing is said.
+        and rad, how far around that is searched; beyond `FARTHEST` points are too much alike, and nothing is said, nor
+        where too little agrees or another place is nearly as good.
         """
         if reach[0] > FARTHEST[0] or reach[1] > FARTHEST[1]:
             return None
@@ -64,7 +66,12 @@ class Witness:
         places = laid((a, self._legs[first]), (b, self._legs[second]), drive[0], *reach, end)
         if not places or places[0].things < LEAST_THINGS:
             return None
-        return judged([each.overlay for each in places], *drive, bar=POINTS, about=b.middle)
+        verdict = judged([each.overlay for each in places], *drive, bar=POINTS, about=b.middle)
+        return verdict if verdict is None or verdict.why is None or verdict.is_doubted else None
+
+    def adopt(self, other: Witness) -> None:
+        """Take over what another one has drawn of the same legs, which are the first of these."""
+        self._sketches.update(other._sketches)
 
     def _sketch(self, number: int) -> Sketch | None:
         if number not in self._sketches:
