@@ -163,8 +163,8 @@ def test_places_nearly_as_good_make_the_best_one_less_sure():
 
 
 def test_walls_far_away_are_not_many_things():
-    """Two endless walls 3 to 20 m off, beams a degree apart: they are two things, or three with a torn end, and no place
-    is believed, for nothing tells how far along it is."""
+    """Two endless walls 3 to 20 m off, beams a degree apart: they are two things, or three with a torn end, and no
+    place is believed, for nothing tells how far along it is."""
     for off in (3.0, 5.0, 20.0):
         bearings = np.radians(np.arange(-90.0, 90.5))
         with np.errstate(divide="ignore"):
