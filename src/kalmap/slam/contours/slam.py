@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -33,7 +34,7 @@ from kalmap.slam.contours import wheels
 from kalmap.slam.contours.closed import ENOUGH
 from kalmap.slam.contours.held import holding
 from kalmap.slam.contours.late import Clock, Late
-from kalmap.slam.contours.leg import OpenLeg, composed
+from kalmap.slam.contours.leg import Leg, OpenLeg, composed
 from kalmap.slam.contours.live import PUNCTUAL, LiveMap
 from kalmap.slam.contours.loops import FLOOR, Loops
 from kalmap.slam.contours.seen import LATENCY_BIAS, Rules, later, prepare, rules_of
@@ -298,7 +299,7 @@ class ContourSlam:
             time=self._time, pose=pose, covariance=covariance, landmarks=_no_landmarks(), biases={}, joint=joint,
             coordinates=self.coordinates, contours=contours, trajectory=trajectory,
             sweeps=sweeps,
-            counts=self._counts(loops) | holding(legs, frames),
+            counts=self._counts(loops, legs) | holding(legs, frames),
         )  # fmt: skip
 
     def _enough(self) -> int:
@@ -311,13 +312,15 @@ class ContourSlam:
         own = loops.own_covariances()[:count]
         return composed(self._start, self._start_covariance, loops.graph.frames[:count], own)
 
-    def _counts(self, loops: Loops) -> dict[str, float]:
+    def _counts(self, loops: Loops, legs: Sequence[Leg]) -> dict[str, float]:
         calibration = self._live.calibration
         deviations = np.sqrt(np.diagonal(calibration.covariance))
         latency = math.hypot(deviations[4], LATENCY_BIAS) if deviations[4] else 0.0
         way, turn = np.where(deviations[5:] > 0.0, np.hypot(deviations[5:], wheels.BIAS), 0.0)
         return {
-            "local_maps": len(loops.maps),
+            "local_maps": sum(
+                len(leg.scans) > 0 for leg in legs
+            ),  # none of its own in one that was just begun
             "loops": sum(relation.loop for relation in loops.graph.relations),
             "loops_open": len(loops.open),
             "covariance_scale": loops.told_scale,
