@@ -288,8 +288,7 @@ def test_a_saved_run_finds_the_same_loops_by_points(tmp_path, lab):
 @pytest.mark.parametrize("distance", [0.1, 0.12])
 def test_a_tour_of_a_real_laboratory_is_closed(data_root, tmp_path, distance):  # noqa: F811
     """Tables, chairs and shelves, no truth: walls at right angles, held beside each other by hand, say that the drive
-    ends with a heading of 1.56 rad. Contours alone find no loop in it. (With 0.11 m from scan to scan the first loop
-    stays open, having too few things.)"""
+    ends with a heading of 1.56 rad. Contours alone find no loop in it."""
     log = data_root / "mines-urg04lx"
     if not log.exists():
         pytest.skip(f"no real data: {log} does not exist")
