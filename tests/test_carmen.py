@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from kalmap.data import check_log, open_log, read_relations, reader_notes
@@ -25,6 +25,8 @@ STANDING = [flaser([1.0, 2.0, 3.0], (0.0, 0.0, 0.0), 1.0), flaser([1.1, 2.1, 3.1
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(RANGES, POSES, st.floats(-5, 5)), min_size=1, max_size=6))
+@example([([1.0], (0.0, 1.4e-45, 0.0), -1.0), ([1.0], (0.0, 0.0, 0.0), 0.0)])  # moves by next to nothing
+@example([([1.0], (0.0, 5e-324, 0.0), -1.0), ([1.0], (0.0, 0.0, 0.0), 0.0)])
 def test_what_is_written_comes_back_bit_for_bit(drive):
     """Ranges, stamps and line numbers exactly; increments as matrices say; time never back."""
     values = [value for ranges, _, _ in drive for value in ranges]

@@ -127,7 +127,10 @@ def stamps_tell(drive: Drive) -> bool:
     going = ways[ways > 0.0]
     if not len(going) or (took <= 0.0).mean() > MOST_BACKWARDS:
         return False
-    apart = max(1, math.ceil(LEAST_STEP / float(np.median(going))))  # a fast scanner's steps are a few mm
+    wanted = LEAST_STEP / float(np.median(going))
+    if wanted > len(ways):
+        return False  # it hardly moved
+    apart = max(1, math.ceil(wanted))  # a fast scanner's steps are a few mm
     ways, took = (np.add.reduceat(each, np.arange(0, len(each), apart)) for each in (ways, took))
     pairs = (ways[1:] > LEAST_STEP) & (ways[:-1] > LEAST_STEP) & (took[1:] > 0.0) & (took[:-1] > 0.0)
     if pairs.sum() < LEAST_PAIRS:
