@@ -8,6 +8,7 @@ from kalmap.cli.main import kalmap
 from kalmap.cli.source import find_world
 from kalmap.records import ConfigError
 from kalmap.simulate import FloorWorld, rooms_world
+from test_simulate_floors import FLOORS
 
 
 def test_numbers_names_and_switches_can_be_set():
@@ -54,15 +55,6 @@ def test_a_floor_can_be_checked():
 
 def test_help_names_the_floors():
     text = " ".join(CliRunner().invoke(kalmap, ["run", "--help"]).output.split())
-    for name in (
-        "floor-115",
-        "floor-170",
-        "office",
-        "hall",
-        "lab",
-        "corridor",
-        "crowd",
-        "standstill",
-        "rooms-N",
-    ):
+    names = [name for name in FLOORS if not name.startswith("rooms")]
+    for name in [*names, "rooms-N"]:
         assert name in text

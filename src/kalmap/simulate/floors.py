@@ -120,11 +120,11 @@ def lab(*, name: str = "lab", **overrides: Any) -> FloorWorld:
         at = 0.8
         while at < high - 0.8:
             length, depth, there = rng.uniform(0.1, 0.5), rng.uniform(0.05, 0.45), rng.random() < 0.7
-            far, near = (high - depth, high) if side % 2 else (low, low + depth)
-            piece = (at, near, at + length, far) if side < 2 else (near, at, far, at + length)
+            first, last = (high - depth, high) if side % 2 else (low, low + depth)
+            piece = (at, first, at + length, last) if side < 2 else (first, at, last, at + length)
             if there:
                 x0, y0, x1, y1 = np.round(piece, 3).tolist()
-                plan.solid.append((min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)))
+                plan.solid.append((x0, y0, x1, y1))
             at += length
     for x in (2.6, 8.1):
         for y in (2.6, 6.1, 9.6):

@@ -29,13 +29,11 @@ from kalmap.slam.contours.whole import whole_sweeps
 
 MOST_CELLS = 4_000_000  # of a grid, 100 m x 100 m; a leg that needs more has odometry that jumps
 # m from the end of a beam to the nearer one of its neighbours' ends: between these it is of a wall that has come apart
-SPARSE, TORN = 0.15, 0.75
+COARSE, TORN = 0.15, 0.75
 CELL = 0.05  # m, of the grids
 DENSE = 0.1  # m, side of the squares that hold one point each
-HITS, PASSES = (
-    2,
-    3,
-)  # scans that must have hit a cell for it to be solid, and seen through it for it to be free
+HITS = 2  # scans that must have hit a cell for it to be solid
+PASSES = 3  # scans that must have seen through a cell for it to be free
 SHARE = 0.25  # of the scans that see through a cell, that must hit it
 BESIDE = 0.15  # m: what is nearer to something solid is not taken for free
 FACING = -0.5  # cosine between the sides from which two points were seen, below which they are not one
@@ -52,10 +50,8 @@ LIMITS = (
 LEAST_PAIRS = 10  # points that lie on points
 NEAR = 0.2  # m: the points so near tell along what a point lies
 LONG, THIN = 0.08, 0.45  # m, standard deviation along a line of points, and across it as a share of that
-ACROSS, ALONE = (
-    0.04,
-    0.06,
-)  # m, standard deviation of one point on another, across a line and where there is none
+ACROSS = 0.04  # m, standard deviation of one point on another, across a line of points
+ALONE = 0.06  # m, the same where there is no line
 ONE = 0.2  # m: points that are nearer to each other are of one thing
 BLUR = 0.07  # m: how much less a point on another one counts, the farther off it lies
 LIKE, AGAINST = 0.1, 0.5  # m, blur of the search, and what a point in free space counts against
@@ -117,11 +113,11 @@ def drawn(leg: Leg, rules: Rules) -> Sketch | None:
     """The sketch of a leg; None where its scans agree on nothing.
 
     Silence says nothing here: dark and slanting things bring nothing back either. What is so far away that the beams'
-    points are more than `SPARSE` apart is left out: a wall would be many things there.
+    points are more than `COARSE` apart is left out: a wall would be many things there.
     """
     sensor = rules.sensor
     sweeps = whole_sweeps([leg], np.zeros((1, 3)), rules, rules.calibration.mean)
-    farthest = min(sensor.max_range, SPARSE / _beam_spacing(sweeps))
+    farthest = min(sensor.max_range, COARSE / _beam_spacing(sweeps))
     ends, towards = _ends(sweeps, sensor.min_range, farthest)
     if not len(ends):
         return None
@@ -163,7 +159,7 @@ def _beam_spacing(sweeps: Sweeps) -> float:
 def _ends(sweeps: Sweeps, nearest: float, farthest: float) -> tuple[np.ndarray, np.ndarray]:
     """(P, 2) m where beams ended between two ranges m, and unit vectors (P, 2) from there to the scanner.
 
-    Without the ends on walls that are seen at such an angle that they are more than `SPARSE` apart.
+    Without the ends on walls that are seen at such an angle that they are more than `COARSE` apart.
     """
     ends, towards = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for pose, scan in zip(sweeps.poses, sweeps.scans, strict=True):
@@ -173,7 +169,7 @@ def _ends(sweeps: Sweeps, nearest: float, farthest: float) -> tuple[np.ndarray, 
         end = pose[:2] - scan.ranges[hit, None] * way
         apart = np.hypot(*np.diff(end, axis=0).T)
         beside = np.minimum(np.concatenate([[np.inf], apart]), np.concatenate([apart, [np.inf]]))[: len(end)]
-        kept = (beside <= SPARSE) | (beside > TORN)
+        kept = (beside <= COARSE) | (beside > TORN)
         ends.append(end[kept])
         towards.append(way[kept])
     return np.concatenate(ends), np.concatenate(towards)
